@@ -23,12 +23,6 @@ from matcap.synth.exr_tiles import (
     tiles_over,
 )
 
-# Channel names of each map, in a file of its own and in one file of all maps. An F0 with a colour
-# has those of diffuse.
-_OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}
-_JOINED = _OWN | {"height": "Z", "normal": "XYZ"}
-_COLOUR = ("specular", 3)
-
 
 def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
     """Indices of each map's planes among the stored planes, for a number of channels of F0."""
@@ -78,7 +72,7 @@ class Rendered:
 
 
 def pictures_of(
-    name: str, size: tuple[int, int], *, specular: int, single: bool, mipmap: bool, wrap: str
+    name: str, size: tuple[int, int], *, specular: int, mipmap: bool, wrap: str
 ) -> tuple[PictureFile, ...]:
     """The files of a map set.
 
@@ -86,33 +80,21 @@ def pictures_of(
         name: prefix of the file names; `{kind}` is replaced by the map's name.
         size: (width, height) in texels.
         specular: channels of F0.
-        single: all maps in one file.
         mipmap, wrap: see Layout.
     """
-    places: dict[str, list[tuple[str, int, str]]] = {}
+    pictures = []
     for kind, planes in kind_planes(specular).items():
-        file = name.replace("{kind}", "maps" if single else kind) + ".exr"
-        channels = channels_of(kind, specular=specular, single=single)
-        for channel, plane in zip(channels, planes, strict=True):
-            places.setdefault(file, []).append((channel, plane, kind))
-    return tuple(
-        PictureFile(
-            file,
-            Layout(
-                *size, tuple(Channel(c, kind != "height") for c, _, kind in sorted(channels_at)),
-                mipmap, wrap,
-            ),
-            tuple(plane for _, plane, _ in sorted(channels_at)),
-            tuple(kind for _, _, kind in sorted(channels_at)),
+        named = sorted(zip("RGB" if len(planes) == 3 else "Y", planes, strict=True))
+        channels = tuple(Channel(letter, kind != "height") for letter, _ in named)
+        pictures.append(
+            PictureFile(
+                f"{name.replace('{kind}', kind)}.exr",
+                Layout(*size, channels, mipmap, wrap),
+                tuple(plane for _, plane in named),
+                (kind,) * len(named),
+            )
         )
-        for file, channels_at in places.items()
-    )  # fmt: skip
-
-
-def channels_of(kind: str, *, specular: int, single: bool) -> tuple[str, ...]:
-    """Names of a map's channels in its file, for F0 of `specular` channels."""
-    letters = (_JOINED if single else _OWN)["diffuse" if (kind, specular) == _COLOUR else kind]
-    return tuple(f"{kind}.{letter}" for letter in letters) if single else tuple(letters)
+    return tuple(pictures)
 
 
 def encode(

@@ -26,7 +26,7 @@ from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.files.udim import check_grid, tile_number
-from matcap.synth.pictures import PictureFile, channels_of, pictures_of
+from matcap.synth.pictures import PictureFile, pictures_of
 from matcap.synth.preview import Preview, preview_of
 
 if TYPE_CHECKING:
@@ -90,7 +90,6 @@ def key_of(request: SynthRequest, field: OpenedField) -> str:
         field.info.name,
         request.png,
         request.normal,
-        request.single,
         request.mipmap,
         request.preview,
     )
@@ -113,7 +112,6 @@ def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]
                 f"{field.info.name}_{{kind}}{label}",
                 (area.width, area.height),
                 specular=specular,
-                single=request.single,
                 mipmap=request.mipmap,
                 wrap=wrap,
             )
@@ -146,11 +144,8 @@ def document_of(
     if period is not None:
         document["period"] = list(period)
     for kind in MEANINGS:
-        file = f"{name}_{'maps' if request.single else kind}{label}.exr"
+        file = f"{name}_{kind}{label}.exr"
         document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, specular)}
-        if request.single:
-            channels = channels_of(kind, specular=specular, single=True)
-            document["maps"][kind]["channels"] = list(channels)
         if request.png:
             png = f"{name}_{kind}{label}.png"
             document["maps"][kind] |= {"png": png, "png_encoding": PNG_ENCODINGS[kind]}

@@ -39,7 +39,7 @@ def write_pngs(stage: Path, assembly: Assembly, heights: tuple[float, float]) ->
     """
     for kind in MEANINGS:
         picture, file = _holding(kind, assembly)
-        name = picture.file.replace("_maps", f"_{kind}").removesuffix(".exr") + ".png"
+        name = picture.file.removesuffix(".exr") + ".png"
         _write_png(stage / name, kind, picture, file, heights)
 
 

@@ -124,8 +124,7 @@ def _publish(stage: Path, folder: Path, name: str) -> None:
 
 def files_of(folder: Path, name: str) -> list[str]:
     """Possible file names of a map set or texture set of this name; UDIM tiles by what exists."""
-    kinds = (*MEANINGS, "maps")
     tiles = [
-        file.name for kind in kinds for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
+        file.name for kind in MEANINGS for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
     ]
-    return [*mapset_files(name), preview_name(name), f"{name}_maps.exr", *tiles]
+    return [*mapset_files(name), preview_name(name), *tiles]

@@ -169,9 +169,9 @@ def test_synth_writes_for_other_programs_too(matcap, material, tmp_path):
     )  # fmt: skip
     assert said.code == 0, said.err
     assert (tmp_path / "set" / "materialx" / "noise.mtlx").is_file()
-    said = matcap("synth", material, "--single", "--export", "raw", "-o", "other")
+    said = matcap("synth", material, "--udim", "2x1", "--export", "raw", "-o", "other")
     assert said.code == 2
-    assert "only a map set with a file per map can be exported" in said.err
+    assert "a texture set cannot be exported" in said.err
     assert not (tmp_path / "other").exists()
 
 

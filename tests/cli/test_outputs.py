@@ -158,15 +158,6 @@ def test_a_map_set_replaces_no_file_of_somebody_else(matcap, place):
     assert matcap(*words, "--overwrite").code == matcap(*words).code == 0
 
 
-def test_a_mask_is_not_replaced_by_what_is_made_with_it(matcap, place):
-    (place / "a_diffuse.png").write_bytes((place / "photo.png").read_bytes())
-    said = matcap(
-        "synth", "a.matcap", "--size", "16", "-j", "1", "--png", "--blend", "b.matcap",
-        "--mask", "a_diffuse.png", "-o", ".", "--overwrite",
-    )  # fmt: skip
-    assert said.code == 2 and "the same command reads this file" in said.err
-
-
 FORGED = ("../../victim/keep", "../x", "/tmp/x", ".keep", "a\nb", "a\0b")
 
 

@@ -40,7 +40,6 @@ def test_the_papers_form_is_the_decoder_but_for_the_blur(material, monkeypatch):
 
 @pytest.mark.usefixtures("two_threads")
 def test_a_short_run_fills_the_table(tmp_path, monkeypatch):
-    monkeypatch.setattr(synth, "_precisions", lambda: ("fp32",))  # each is a process of its own
     settings = SynthSettings((64, 32), ("shipped",), ("64x32",), (1,), 1, (120, 96))
     experiment = synth_experiment(settings)
     rows = run(experiment, tmp_path / "synth.csv")

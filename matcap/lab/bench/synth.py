@@ -29,7 +29,6 @@ from torch import Tensor
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.blocks import Grid
-from matcap.field.device import multiplies_bfloat16
 from matcap.field.field import read_source
 from matcap.field.plane import Rectangle, Span
 from matcap.field.single import single_threaded
@@ -168,7 +167,7 @@ def field_costs(
         Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.structured_channels
     )
     noise = noise[None].contiguous()
-    source = _source(subject, Grid(*map(int, block.split("x"))), precision)
+    source = _source(subject, Grid(*map(int, block.split("x"))))
 
     def ours() -> None:
         read_source(source, Rectangle(0, 0, width, height), workers)
@@ -270,7 +269,7 @@ def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:
 
 def efficiency(subject: TunedDecoder, precision: str, repeats: int) -> dict[str, float]:
     """10^9 multiply-adds a second of one block and of its convolutions alone, on one thread."""
-    source = _source(subject, Grid(), precision)
+    source = _source(subject, Grid())
     block = Rectangle(0, 0, source.grid.width, source.grid.height)
     shapes = list(_convolutions(source.decoder, spans_of_block(block, source.decoder.convolutions)))
     count = sum(
@@ -322,13 +321,12 @@ def _processor(call: Callable[[], object]) -> float:
     return time.thread_time() - start
 
 
-def _source(subject: TunedDecoder, grid: Grid, precision: str) -> DecoderSource:
-    source = replace(subject.source(1), grid=grid)
-    return source if precision == "fp32" else source.lowered(0)
+def _source(subject: TunedDecoder, grid: Grid) -> DecoderSource:
+    return replace(subject.source(1), grid=grid)
 
 
 def _precisions() -> tuple[str, ...]:
-    return ("fp32", "bf16") if multiplies_bfloat16(torch.device("cpu")) else ("fp32",)
+    return ("fp32",)
 
 
 def _blurred(features: Tensor) -> Tensor:
