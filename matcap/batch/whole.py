@@ -21,7 +21,7 @@ from matcap.batch.workspace import open_run
 from matcap.capture.settings import resolve
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
-from matcap.files.staging import check_writable
+from matcap.files.output import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
 from matcap.photo.camera import CameraProfile, write_camera_profile
 

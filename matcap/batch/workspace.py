@@ -35,8 +35,7 @@ from matcap.batch.record import FILE as RECORD
 from matcap.batch.record import read_record
 from matcap.capture.outputs import output_files
 from matcap.files.document import read_document
-from matcap.files.publish import sync
-from matcap.files.staging import write_error
+from matcap.files.output import sync, write_error
 
 _SWAPS = 16  # attempts to rename while another run renames to the same name
 

@@ -64,7 +64,7 @@ def capture(
     """
     from matcap.cli.display import CaptureDisplay
     from matcap.files.memory import keep_memory
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
 
     keep_memory()  # this process is matcap's own
     settings = chosen(CaptureSettings, given)

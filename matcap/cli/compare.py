@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import JsonOption, QuietOption, ReplaceOption, printer
+from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, printer
 from matcap.errors import UsageError
 
 if TYPE_CHECKING:
     from matcap.capture.compare import Compared
-
-
-_MARK = "matcap compare"  # in its picture's metadata
 
 
 def compare(
@@ -35,15 +32,14 @@ def compare(
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, a PNG.")] = Path(
         "compared.png"
     ),
-    overwrite: ReplaceOption = False,
+    overwrite: OverwriteOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Show two captures, or two versions of one, under the same lights, with their verdicts."""
     from matcap.capture.compare import Compared, comparison
-    from matcap.files.mark import check_replaceable, pillow_mark
     from matcap.files.names import check_suffix
-    from matcap.files.staging import check_writable, staged_file
+    from matcap.files.output import Output, check_output, check_writable
     from matcap.photo.load import load_photo
 
     photos = list(photo or [])
@@ -51,18 +47,18 @@ def compare(
         raise UsageError.at("--photo", "there are more than two", "give one or two")
     check_suffix(out, (".png",), "picture")
     inputs = [file for file in (first, second, *photos) if not file.is_dir()]
-    check_replaceable([out], _MARK, inputs=inputs, overwrite=overwrite)
+    check_output([out], inputs=inputs, overwrite=overwrite)
     check_writable(out.parent, 10_000_000, [out.name])
     captures = [Compared.open(path) for path in (first, second)]
     given = photos * 2 if len(photos) == 1 else photos
     shown: Sequence[Path | None] = given or [_own(one, quiet=quiet) for one in captures]
     read = [file for file in shown if file is not None]
-    check_replaceable([out], _MARK, inputs=read, overwrite=overwrite)
+    check_output([out], inputs=read, overwrite=overwrite)
     loaded = partial(load_photo, long_side=1024, noise=False)
     pictures = [None if file is None else loaded(file) for file in shown]
     sheet = comparison(captures, pictures)
-    with staged_file(out) as file:
-        sheet.save(file, "PNG", pnginfo=pillow_mark(_MARK))
+    with Output.file(out) as file:
+        sheet.save(file, "PNG")
     if as_json:
         entries = [{"name": one.name, "verdict": one.verdict} for one in captures]
         typer.echo(json.dumps({"picture": str(out), "captures": entries}, indent=2))

@@ -50,7 +50,7 @@ def export(
     Prints the target's shading error against matcap's renderer, due to what it cannot express. See
     docs/guide/export.md.
     """
-    from matcap.errors import MatcapError, UsageError
+    from matcap.errors import UsageError
     from matcap.export.job import ExportJob, known_scale, material_reach
     from matcap.export.targets import (
         DOCUMENTS,
@@ -62,8 +62,8 @@ def export(
     from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile, refuse_with_piece
     from matcap.files.memory import check_memory
+    from matcap.files.output import check_output, check_writable
     from matcap.files.settings import known, refuse_options
-    from matcap.files.staging import check_writable
 
     if to is None:
         raise UsageError.at("matcap export", "there is no target", "give one with --to")
@@ -111,12 +111,7 @@ def export(
     asked_for += "_tile-piece" * (tile is not None)
     folder = out or Path(f"{opened.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(opened.name, target)
-    if sidecar.exists() and not overwrite:
-        raise MatcapError.at(
-            sidecar,
-            "the folder has an earlier export",
-            "choose another folder with -o, or give --overwrite",
-        )
+    check_output([sidecar], overwrite=overwrite)
     check_writable(folder, count * export_bytes(*opened.maps.size))
     job = ExportJob(
         opened.maps,

@@ -44,7 +44,7 @@ def corpus(
     quiet: QuietOption = False,
 ) -> None:
     """Pack photographs for training; unreadable ones are left out and listed."""
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.lab.train.corpus import build
 
     check_writable(out.parent, 50_000_000)
@@ -117,7 +117,7 @@ def align(
     quiet: QuietOption = False,
 ) -> None:
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.lab.train.align import report_alignment
     from matcap.lab.train.fusion import train_branch
     from matcap.space.alignment import load_alignment, save_alignment
@@ -146,7 +146,7 @@ def make(
     Takes hours on one core. The same command resumes an earlier run from its files in the folder
     of the prior's name.
     """
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.lab.train.make import make_prior
     from matcap.space.prior.store import SHIPPED
 
@@ -241,7 +241,7 @@ def variety(
 
     Precision, recall and pairwise style distance, and a sheet of draws.
     """
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.lab.train.pack import Pack
     from matcap.lab.train.prior_variety import VarietySettings, run_variety
     from matcap.space.prior.store import load_prior

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import QuietOption, ReplaceOption, printer
+from matcap.cli.options import OverwriteOption, QuietOption, printer
 from matcap.field.options import ReadOptions
 from matcap.view.options import ViewOptions
 
@@ -22,15 +22,15 @@ def view(
     ] = Path("."),
     given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
-    overwrite: ReplaceOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Show a material in the browser: endless plane, sphere and cylinder, under any light.
 
     The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
-    from matcap.files.mark import check_replaceable
-    from matcap.view.document import MARK, check_page_path, sealed_page, write_page
+    from matcap.files.output import check_output
+    from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.references import find_references
     from matcap.view.serve import serve
     from matcap.view.server import make_app
@@ -45,7 +45,7 @@ def view(
     if html is not None:
         check_page_path(html)
         inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
-        check_replaceable([html], MARK, inputs=inputs, overwrite=overwrite)
+        check_output([html], inputs=inputs, overwrite=overwrite)
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
     references = find_references(path, subject.facts.name, photo, material)

@@ -60,10 +60,9 @@ from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
-from matcap.files.mark import check_replaceable
 from matcap.files.names import plain_name, sanitised_name
+from matcap.files.output import Output, check_output
 from matcap.files.settings import known
-from matcap.files.staging import staged
 from matcap.files.udim import TOKEN, tile_names, tile_number
 
 FORMAT = "matcap export"
@@ -148,7 +147,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
     job = ExportJob(
         opened.maps, opened.name, millimetres, provenance=opened.provenance, reach=reach
     )
-    return write_export(job, target, place / target)
+    return write_export(job, target, place / target, overwrite=True)
 
 
 def export_bytes(width: int, height: int) -> int:
@@ -168,17 +167,17 @@ def write_export(
     """Write maps for a target, all files or none.
 
     Args:
-        folder: created if missing; files of an earlier export for the target are replaced.
+        folder: created if missing.
         options: workflow, and options of presets; the default workflow is engines.PLAIN's, else
             the one with the smaller residual.
         inputs: files that were read, and must not be replaced.
-        overwrite: also replace files that matcap did not write.
+        overwrite: replace existing files.
 
     Raises:
         UsageError: no such target; it has not the map, workflow or texture sets asked for; it
             would replace a file in `inputs`.
         MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
-            matcap did not write.
+            exists.
     """
     known(target, TARGETS, "--to")
     forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
@@ -197,14 +196,8 @@ def write_export(
         "workflow": chosen,
         "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in named.items()},
     }
-    own = _earlier(folder, target)
-    check_replaceable(
-        [folder / name for name in _outputs(made[chosen], job, target)],
-        "matcap export",
-        inputs=inputs,
-        overwrite=overwrite,
-        own=lambda file: file.name in own,
-    )
+    outputs = [folder / name for name in _outputs(made[chosen], job, target)]
+    check_output(outputs, inputs=inputs, overwrite=overwrite)
     files = _write(made[chosen], job, about, folder)
     return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, named)
 
@@ -264,26 +257,11 @@ def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
     return [*sorted(tiles), *export.documents, sidecar_name(job.name, target)]
 
 
-def _earlier(folder: Path, target: str) -> set[str]:
-    """Names of the files of earlier exports for a target in a folder, from their sidecars."""
-    names = set()
-    for sidecar in folder.glob(f"*_{target}.json"):
-        try:
-            about = json.loads(sidecar.read_bytes())
-            if about["format"] != FORMAT or about["target"] != target:
-                continue
-            tiles = [tile_names(name, about["udim"]) for name in about["files"]]
-            names |= {sidecar.name, *about["documents"], *(one for some in tiles for one in some)}
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            continue
-    return names
-
-
 def _write(
     export: Export, job: ExportJob, about: Mapping[str, Any], folder: Path
 ) -> tuple[str, ...]:
     """Write textures, documents and sidecar; returns the files' names, sorted."""
-    with staged(folder) as stage:
+    with Output(folder).stage() as stage:
         for number, tile in ((tile_number(0, 0), job), *job.others()):
             _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.files.values import bounded, whole
 
 LEAST = 5  # least number of photographs for a profile
@@ -91,7 +91,7 @@ def write_camera_profile(path: Path, profile: CameraProfile) -> None:
         MatcapError: the file cannot be written.
     """
     document = {"format": FORMAT, "version": VERSION, **profile.document()}
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         file.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 

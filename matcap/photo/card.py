@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from matcap.files.names import check_suffix
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 
 PAGE = (210.0, 297.0)  # mm, A4
 SQUARES = (7, 5)  # of the board
@@ -83,7 +83,7 @@ def write_card(path: Path) -> None:
     """
     forms = {".svg": _svg, ".pdf": _pdf}
     check_suffix(path, tuple(forms), "card")
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         file.write_bytes(forms[path.suffix.lower()]())
 
 

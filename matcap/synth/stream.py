@@ -18,9 +18,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.folder import preview_name, refuse_to_replace
-from matcap.files.mark import check_replaceable
-from matcap.files.staging import check_writable
+from matcap.brdf.folder import preview_name
+from matcap.files.output import check_output, check_writable
 from matcap.synth.assembly import Assembly, assembly
 from matcap.synth.jobs import BlockResult, Job, WorkerPool
 from matcap.synth.levels import write_levels
@@ -64,11 +63,8 @@ def write_field(
     work = work or Work()
     work.check(source.device_type)
     folder = Path(folder)
-    if not work.overwrite:
-        document = document_of(request, field, (1.0, 0.5) if request.png else None)
-        refuse_to_replace(folder, document, files_of(folder, name))
     outputs = [folder / file for file in files_of(folder, name)]
-    check_replaceable(outputs, "matcap synth", inputs=work.inputs, overwrite=True)
+    check_output(outputs, inputs=work.inputs, overwrite=work.overwrite)
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(bytes_of(request) - left, 0), files_of(folder, name))
     mapsets = mapsets_of(request, field)

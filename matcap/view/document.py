@@ -83,7 +83,6 @@ def sealed_page(
     maps = _tile(subject, size)
     facts = subject.facts
     head = (
-        f'<meta name="generator" content="{MARK}">'
         f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
         f"<style>\n{page_file(STYLE)}</style>"
     )
@@ -112,9 +111,6 @@ def sealed_page(
     return text
 
 
-MARK = "matcap view"  # the document's generator element
-
-
 def write_page(document: str, path: Path) -> None:
     """Write a document atomically.
 
@@ -122,10 +118,10 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.files.staging import staged_file
+    from matcap.files.output import Output
 
     check_page_path(path)
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         file.write_text(document, encoding="utf-8")
 
 

@@ -200,7 +200,7 @@ def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, fo
     assert said.code == 2 and "--size: this is a map set" in said.err
     assert matcap("export", "set", "--to", "gltf", "-o", "out").code == 0
     said = matcap("export", "set", "--to", "gltf", "-o", "out")
-    assert said.code == 3 and "the folder has an earlier export" in said.err
+    assert said.code == 3 and "this exists already" in said.err
     assert matcap("export", "set", "--to", "gltf", "-o", "out", "--overwrite").code == 0
 
 

@@ -132,21 +132,6 @@ def test_cuda_where_there_is_none(matcap, material, monkeypatch):
     assert matcap("synth", material, "--size", "8x8", "--device", "auto", "-o", "set").code == 0
 
 
-@pytest.mark.parametrize(
-    "other", [("--region", "8,0,32,16"), ("--seed", 4), ("--tile",), ("--normal", "dx")]
-)
-def test_another_map_set_is_not_replaced_unasked(matcap, material, tmp_path, other):
-    first = () if "--region" in other else ("--size", "32x16")
-    assert matcap("synth", material, "--size", "32x16", "-o", "set", "-q").code == 0
-    assert matcap("synth", material, "--size", "32x16", "-o", "set", "-q").code == 0  # the same
-    before = (tmp_path / "set" / "leather.json").read_bytes()
-    said = matcap("synth", material, *first, *other, "-o", "set")
-    assert said.code == 3
-    assert "another map set of this name exists" in said.err and "--overwrite" in said.err
-    assert (tmp_path / "set" / "leather.json").read_bytes() == before
-    assert matcap("synth", material, *first, *other, "-o", "set", "--overwrite").code == 0
-
-
 def test_default_folders_tell_what_differs(matcap, material, tmp_path):
     for asked in (
         ("--region", "-8,4,32,16"), ("--size", "32x16", "--tile"), ("--size", "32x16", "--png"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.lab.experiment.plot import draw
 from matcap.lab.experiment.results import (
     Mean,
@@ -83,7 +83,7 @@ def write_page(
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     _, kept, by_hand = before.partition(f"{BY_HAND}\n")
     text = "\n".join(lines).rstrip() + "\n" + (f"\n{kept}{by_hand}" if kept else "")
-    with staged_file(page) as file:
+    with Output.file(page) as file:
         file.write_text(text, encoding="utf-8")
     return text
 

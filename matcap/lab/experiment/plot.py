@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.lab.experiment.results import Mean, comparable, front
 
 
@@ -99,5 +99,5 @@ def save_figure(figure: Any, path: Path) -> None:  # noqa: ANN401
     Raises:
         MatcapError: the file cannot be written.
     """
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         figure.savefig(file, format="png", dpi=110, metadata={"Software": None})

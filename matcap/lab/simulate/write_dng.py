@@ -15,7 +15,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.lab.simulate.photograph import PhoneCamera, Shot, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
@@ -68,7 +68,7 @@ def write_dng(path: Path, shot: Shot, seed: int, shading: float = 0.0) -> None:
     Raises:
         MatcapError: the file cannot be written.
     """
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         tifffile.imwrite(
             file,
             mosaic(shot, seed, shading),

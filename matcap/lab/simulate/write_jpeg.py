@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from matcap.files.output import Output
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged_file
 from matcap.lab.simulate.photograph import Shot, expose
 from matcap.lab.simulate.write_dng import exif_of
 from matcap.photo.tone import ToneCurve
@@ -40,5 +40,5 @@ def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None)
             for number, value in exif_of(shot).items()
         }
     )
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         picture.save(file, format="JPEG", quality=_QUALITY, exif=exif)

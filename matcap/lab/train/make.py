@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.errors import UsageError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.lab.train.align import report_alignment
 from matcap.lab.train.corpus import build
 from matcap.lab.train.finish import finish
@@ -71,7 +71,7 @@ def make_prior(
         save_alignment(branch, made)
     count = min(24, materials)
     card = _card(prior, pack, recipe, place, branch if count else None, count)
-    with staged_file(out.with_suffix(".md")) as file:
+    with Output.file(out.with_suffix(".md")) as file:
         file.write_text(card, encoding="utf-8")
     return prior
 
