@@ -1,7 +1,7 @@
 """Reads and writes OpenEXR files: single-part scanlines, ZIP, Rec.709.
 
 Written with OpenEXR, which stores no date, so that equal arrays give equal files. Read with
-OpenImageIO, which returns errors, where OpenEXR prints them. Tiled files: synth/exr_tiles.py.
+OpenImageIO, which returns errors, where OpenEXR prints them. Tiled files: synth/pictures.py.
 """
 
 from __future__ import annotations

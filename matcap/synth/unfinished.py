@@ -1,10 +1,6 @@
 """Staging folder of a run that can be resumed.
 
 Unlike those of other outputs (files/output.py), an interrupted run's hidden folder is kept.
-
-After a power cut, written data may be missing. The zlib checksum of a compressed tile shows that;
-the run is resumed before the first damaged tile (exr_tiles.py). Tiles that do not compress have no
-checksum.
 """
 
 from __future__ import annotations
@@ -47,7 +43,8 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[S
         try:
             _open(stage, key, resume=resume)
             yield stage
-            output.publish(stage, {file.name for file in stage.iterdir()} - {_KEY, _LOCK})
+            names = [file.name for file in stage.iterdir() if not file.name.startswith(".")]
+            output.publish(stage, names)
             keep = False
         except Exception as error:
             keep = isinstance(error, (OSError, WorkerLost))
