@@ -47,8 +47,7 @@ def export(
 ) -> None:
     """Write a material for another renderer or engine.
 
-    Prints the target's shading error against matcap's renderer, due to what it cannot express. See
-    docs/guide/export.md.
+    Warns where the target cannot represent the material. See docs/guide/export.md.
     """
     from matcap.errors import UsageError
     from matcap.export.job import ExportJob, known_scale, material_reach
@@ -150,11 +149,5 @@ def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:
     if quiet:
         return
     typer.echo(f"wrote {done.folder} ({', '.join(done.files)})", err=True)
-    if done.residual is not None:
-        form = f", {done.workflow} workflow" if done.workflow else ""
-        typer.echo(f"residual{form}: {done.residual}", err=True)
-    for name, other in list(done.residuals.items()):
-        if other is not done.residual:
-            typer.echo(f"  {name}: {other}", err=True)
     for note in done.notes:
         typer.echo(f"note: {note}", err=True)

@@ -76,6 +76,7 @@ _SEAM = (
 # Largest size of an export in bytes a texel: all maps twice, in 32-bit floats.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 
+_FAR = 0.1  # mean residual above which a note warns of it
 _AS_NEAR = 0.02  # relative difference below which two residuals count as equal
 
 # Targets whose programs do not read UDIM tiles.
@@ -291,6 +292,12 @@ def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | No
     return next(form for form, mean in means.items() if mean <= most)
 
 
+def _far(target: str, off: Residual | None) -> list[str]:
+    if off is None or off.mean <= _FAR:
+        return []
+    return [f"{target} cannot represent this material: {off} differ from matcap's"]
+
+
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
     """The sidecar; the module's docstring lists its keys."""
     width, height = job.maps.size
@@ -319,7 +326,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         },
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": [*made.notes, *([] if job.repeats else [_SEAM])],
+        "notes": [*made.notes, *_far(target, off), *([] if job.repeats else [_SEAM])],
         **made.entries,
         "provenance": dict(job.provenance),
     }

@@ -37,13 +37,7 @@ def test_loose_textures(matcap, folder):
     assert names == {"diff.png", "nor_gl.png", "nor_dx.png", "moss_polyhaven.json"}
 
 
-def test_both_forms_are_told_and_one_can_be_asked_for(matcap, folder):
-    said = matcap("export", "set", "--to", "unity-hdrp")
-    assert "residual, specular workflow: " in said.err
-    assert "\n  metallic: " in said.err
-    said = matcap("export", "set", "--to", "unity-hdrp", "--workflow", "metallic", "--overwrite")
-    assert "residual, metallic workflow: " in said.err
-    assert "\n  specular: " in said.err
+def test_a_workflow_that_a_target_lacks_is_refused(matcap, folder):
     found = matcap("export", "set", "--to", "blender", "--workflow", "metallic")
     assert found.code == 2
     assert "--workflow: blender has no metallic workflow; leave it out." in found.err
