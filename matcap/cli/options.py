@@ -82,7 +82,7 @@ def require_laboratory() -> None:
 
 
 def files_read(*given: Path | None) -> list[Path]:
-    """Files among `given`, and those of map sets, or of other maps, in given folders."""
+    """Files among `given`, and the materials and map sets in given folders."""
     return [file for path in given if path is not None for file in _of(path)]
 
 
@@ -92,8 +92,4 @@ def _of(path: Path) -> Iterable[Path]:
     folder = path if path.is_dir() else path.parent
     sets = [file.stem for file in folder.glob("*.json")]
     maps = {file for name in sets for file in mapset_files(name)}
-    return [
-        file
-        for file in folder.glob("*")
-        if file.suffix == ".matcap" or file.name in maps or (not sets and file.is_file())
-    ]
+    return [file for file in folder.glob("*") if file.suffix == ".matcap" or file.name in maps]

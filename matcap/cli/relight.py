@@ -88,7 +88,8 @@ def relight(
     parse_choice(asked.effects)
     outputs = files_of(out, asked.frames if animate else None)
     outputs += [] if explain_map is None else [explain_map]
-    inputs = files_read(path, maps_from, Path(scene) if scene else None)
+    inputs = files_read(path, Path(scene) if scene else None)
+    inputs += [] if maps_from is None else [maps_from]
     check_output(outputs, inputs=inputs, overwrite=overwrite)
     wanted = _scene(scene, light or ["top"], size)
     if list(light) == ["flash"] and maps_from is None:
