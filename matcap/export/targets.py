@@ -47,14 +47,13 @@ from typing import Any
 from matcap.brdf.seam import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.blender import blender
-from matcap.export.engines import ENGINES, PLAIN
+from matcap.export.engines import PLAIN, PRESETS
 from matcap.export.gltf import gltf_metallic, gltf_specular
 from matcap.export.job import ExportJob, known_scale, material_reach
-from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.options import ExportOptions
-from matcap.export.presets import pack
+from matcap.export.presets import Preset, pack
 from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow
@@ -93,13 +92,14 @@ DOCUMENTS: dict[str, Forms] = {
     "blender": {None: blender},
     "mitsuba": {None: mitsuba},
 }
-# Presets, and a name for each form of those with two.
-PRESETS: tuple[str, ...] = (
-    *LIBRARIES,
-    *ENGINES,
-    *(f"{name}-{form}" for name, forms in ENGINES.items() if len(forms) > 1 for form in forms),
-)
-TARGETS = (*DOCUMENTS, *PRESETS)
+# Presets by name: all forms, and each form of those with two.
+_BY_NAME: dict[str, Mapping[Workflow | None, Preset]] = PRESETS | {
+    f"{name}-{form}": {form: preset}
+    for name, forms in PRESETS.items()
+    if len(forms) > 1
+    for form, preset in forms.items()
+}
+TARGETS = (*DOCUMENTS, *_BY_NAME)
 
 
 @dataclass(frozen=True)
@@ -214,18 +214,9 @@ def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
     Raises:
         UsageError: no such preset.
     """
-    known(name, PRESETS, "--preset")
-    if name in LIBRARIES:
-        return {None: partial(pack, preset=LIBRARIES[name], choice=choice)}
-    engine, forms = next(
-        (engine, forms)
-        for engine, forms in ENGINES.items()
-        if name == engine or name.removeprefix(f"{engine}-") in forms
-    )
+    known(name, _BY_NAME, "--preset")
     return {
-        form: partial(pack, preset=preset, choice=choice)
-        for form, preset in forms.items()
-        if name in (engine, f"{engine}-{form}")
+        form: partial(pack, preset=preset, choice=choice) for form, preset in _BY_NAME[name].items()
     }
 
 

@@ -13,9 +13,8 @@ from exported import MATERIALS, METALS
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
-from matcap.export.engines import ENGINES
+from matcap.export.engines import PRESETS
 from matcap.export.job import ExportJob, material_reach
-from matcap.export.libraries import LIBRARIES
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 
 # What is exported to the others is read again for all materials, in the tests of each.
@@ -132,10 +131,10 @@ def test_files_are_called_as_the_page_says(captured, target, capsys):
     assert sidecar["provenance"] == {"made": "up"}
 
 
-@pytest.mark.parametrize("preset", [*LIBRARIES, *ENGINES])
+@pytest.mark.parametrize("preset", PRESETS)
 def test_files_of_presets_are_called_as_the_table_says(captured, preset):
     (row,) = re.findall(rf"^\| `{preset}` \| (.*?) \|", PAGE, re.MULTILINE)
-    forms = ENGINES.get(preset, {None: None})
+    forms = PRESETS[preset]
     for form in forms:
         asked = ["--workflow", form] if form else []
         assert main(["export", "out/leather", "--to", preset, *asked, "-q", "--overwrite"]) == 0
