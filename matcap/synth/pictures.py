@@ -105,7 +105,7 @@ def write_map(path: Path, kind: str, texels: Assembly, wrap: str) -> None:
             _check(output, output.open(str(path), spec, "AppendMIPLevel" if level else "Create"))
             kept = stack.enter_context(TemporaryFile(dir=path.parent))
             for rows in strips(size[1]):
-                pixels = np.ascontiguousarray(read(rows).astype(depth, copy=False))
+                pixels = np.array(read(rows), depth, order="C")  # its strides are checked
                 area = (0, size[0], rows.start, rows.stop, 0, 1)
                 _check(output, output.write_tiles(*area, pixels))
                 if wrap:
