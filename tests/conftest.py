@@ -33,7 +33,7 @@ def _threads(count):
 
 @pytest.fixture(autouse=True, scope="session")
 def no_waiting_for_the_disk():
-    """No power is cut here but by a disk that stands in for one (failing_disk.py)."""
+    """No power is cut here."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda handle: None)
         yield

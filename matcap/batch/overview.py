@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from matcap.batch.entries import BatchEntry
 from matcap.batch.record import read_record
-from matcap.files.staging import staged
+from matcap.files.output import Output
 from matcap.files.values import spoken_duration
 
 _STATES = {
@@ -29,7 +29,7 @@ def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
         MatcapError: a full disk, an unwritable folder.
     """
     rows, pictures = _rows(out, entries)
-    with staged(out) as stage:
+    with Output(out).stage() as stage:
         document = {"format": "matcap batch index", "version": 1, "materials": rows}
         (stage / "index.json").write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
         (stage / "index.html").write_text(page(rows, pictures), encoding="utf-8")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from matcap.files.document import read_document
-from matcap.files.publish import sync
+from matcap.files.output import sync
 
 FILE = "matcap-batch.json"
 FORMAT = "matcap batch record"

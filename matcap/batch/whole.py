@@ -20,7 +20,7 @@ from matcap.batch.workspace import open_run
 from matcap.capture.settings import resolve
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.memory import free_bytes
-from matcap.files.staging import check_writable
+from matcap.files.output import check_writable
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
 
 _SETS_SAID = 12  # most groups of photographs that are listed before a batch starts

@@ -17,8 +17,8 @@ from matcap.batch.settings import BatchSettings
 from matcap.batch.workspace import Run
 from matcap.errors import MatcapError
 from matcap.files.memory import keep_memory
+from matcap.files.output import write_error
 from matcap.files.progress import OnProgress, Progress
-from matcap.files.staging import write_error
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:

@@ -33,8 +33,7 @@ from matcap.batch.record import read_record
 from matcap.capture.outputs import output_files
 from matcap.errors import MatcapError
 from matcap.files.document import read_document
-from matcap.files.publish import sync
-from matcap.files.staging import write_error
+from matcap.files.output import sync, write_error
 
 
 @dataclass(frozen=True)

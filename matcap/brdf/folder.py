@@ -34,8 +34,6 @@ Keys:
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,19 +51,12 @@ from matcap.files.document import read_document
 from matcap.files.exr import read_exr, write_exr
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
+from matcap.files.output import Output
 from matcap.files.png import write_png
-from matcap.files.publish import recover
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-
-# Entries of a document in which two different map sets of one name differ.
-_WHAT_IT_IS = (
-    "format", "width", "height", "x", "y", "seed", "periodic", "period", "udim", "normal",
-    "texel_size", SPECULAR_CHANNELS, "provenance",
-)  # fmt: skip
 
 FORMAT = "matcap map set"
 PIECE = "_photo"  # suffix of the exemplar's map set, after the material's name
@@ -142,7 +133,7 @@ def write_mapset(
         info, maps.size, maps.texel_size, periodic=maps.periodic, normal=normal, specular=coloured
     )
     document["seam"] = round(seam_ratio(maps), 3)
-    with staged(folder, replacing=[*mapset_files(name), preview_name(name)]) as stage:
+    with Output(folder, [*mapset_files(name), preview_name(name)]).stage() as stage:
         for kind, pixels in arrays.items():
             file = f"{name}_{kind}.exr"
             write_exr(stage / file, pixels, half=kind != "height")
@@ -218,38 +209,6 @@ def _recount(kind: str, count: int) -> str:
     if kind == "specular" and count in (1, 3):
         return f'save it as it was, or set "{SPECULAR_CHANNELS}": {count} in the JSON file'
     return "write the map set again"
-
-
-def refuse_to_replace(folder: Path, new: dict[str, Any], names: Iterable[str]) -> None:
-    """Refuse to overwrite another map set of the same name; the same set may be written again.
-
-    Args:
-        folder: where it is to be written.
-        new: its document.
-        names: of all files that it may have.
-
-    Raises:
-        MatcapError: a set of that name that differs, naming the entries; or a file of no set.
-    """
-    old = read_document(folder / f"{new['name']}.json") or {}
-    if not str(old.get("format", "")).startswith("matcap"):
-        foreign = [name for name in names if (folder / name).exists()]
-        if foreign:
-            raise MatcapError.at(
-                folder / foreign[0],
-                "a file of this name exists, and belongs to no map set",
-                "choose another folder with -o, or give --overwrite",
-            )
-        return
-    differs = [key for key in _WHAT_IT_IS if old.get(key) != new.get(key)]
-    if ("png" in old) and "png" not in new:
-        differs.append("PNGs")
-    if differs:
-        raise MatcapError.at(
-            folder / f"{new['name']}.json",
-            f"another map set of this name exists (with another {', '.join(differs)})",
-            "choose another folder with -o, or give --overwrite",
-        )
 
 
 def mapset_files(name: str) -> list[str]:
@@ -354,8 +313,6 @@ def coded(
 
 
 def _find_document(path: Path) -> Path:
-    with suppress(OSError):  # a read-only folder cannot be repaired, but can be read
-        recover(path if path.is_dir() else path.parent)
     if path.is_file():
         return path
     if not path.is_dir():

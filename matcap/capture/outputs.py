@@ -12,7 +12,7 @@ from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, preview_n
 from matcap.capture.settings import OutputSettings
 from matcap.example.exemplar import CHANNELS
 from matcap.files.exr import write_exr_channels
-from matcap.files.staging import staged
+from matcap.files.output import Output
 
 if TYPE_CHECKING:
     from matcap.capture.exemplar.estimate import ExemplarEstimate
@@ -56,8 +56,8 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
         _confidence_file(name),
     ]
     # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
-    # The pool exits first, then `staged` publishes all files.
-    with staged(folder, replacing=older) as stage, ThreadPoolExecutor(1) as pool:
+    # The pool exits first, then the stage publishes all files.
+    with Output(folder, older).stage() as stage, ThreadPoolExecutor(1) as pool:
         written = pool.submit(_write_material, result, stage, name, settings)
         write_preview(result, stage / PREVIEW)
         write_report(result, stage / REPORT)

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from matcap.capture.tilt import tilt_line
+from matcap.files.output import Output
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged_file
 from matcap.photo.checks import Rating
 from matcap.photo.orient import standing
 
@@ -105,7 +105,7 @@ def write_preview(result: CaptureResult, path: Path) -> None:
         MatcapError: the file cannot be written.
     """
     sheet = draw_sheet(result)
-    with staged_file(path) as staged, staged.open("wb") as file:
+    with Output.file(path) as staged, staged.open("wb") as file:
         sheet.save(file, "PNG", compress_level=1)  # four times as fast as 6, a twentieth larger
 
 

@@ -76,7 +76,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.capture.report_file import FORMAT, VERSION
 from matcap.example.summary import summary
 from matcap.files.maker import MAKER_VERSION
-from matcap.files.staging import staged
+from matcap.files.output import Output
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def write_report(result: CaptureResult, path: Path) -> None:
         MatcapError: the file cannot be written.
     """
     text = json.dumps(_finite(report(result)), indent=2, default=str, allow_nan=False)
-    with staged(path.parent) as stage:
+    with Output(path.parent).stage() as stage:
         (stage / path.name).write_text(text + "\n")
 
 

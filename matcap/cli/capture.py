@@ -64,7 +64,7 @@ def capture(
     """
     from matcap.cli.display import CaptureDisplay
     from matcap.files.memory import keep_memory
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
 
     keep_memory()  # this process is matcap's own
     settings = chosen(CaptureSettings, given)
@@ -118,12 +118,13 @@ def _attempt(
     overwrite: bool,
 ) -> dict[str, Any]:
     """Capture one photograph; a failure is a result too."""
-    from matcap.capture.replace import refuse_to_replace_capture
+    from matcap.capture.outputs import output_files
+    from matcap.files.output import check_output
 
     started = time.perf_counter()
     try:
-        if not overwrite:
-            refuse_to_replace_capture(job.folder, (job.photo, *job.others), settings, outputs)
+        files = [job.folder / name for name in output_files(job.folder.name)]
+        check_output(files, inputs=[job.photo, *job.others], overwrite=overwrite)
         done = _capture(job, settings, outputs, shown, spent)
     except UsageError:
         raise  # wrong for every photograph alike

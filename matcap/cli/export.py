@@ -47,10 +47,9 @@ def export(
 ) -> None:
     """Write a material for another renderer or engine.
 
-    Prints the target's shading error against matcap's renderer, due to what it cannot express. See
-    docs/guide/export.md.
+    Warns where the target cannot represent the material. See docs/guide/export.md.
     """
-    from matcap.errors import MatcapError, UsageError
+    from matcap.errors import UsageError
     from matcap.export.job import ExportJob, known_scale, material_reach
     from matcap.export.targets import (
         DOCUMENTS,
@@ -62,8 +61,8 @@ def export(
     from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile, refuse_with_piece
     from matcap.files.memory import check_memory
+    from matcap.files.output import check_output, check_writable
     from matcap.files.settings import known, refuse_options
-    from matcap.files.staging import check_writable
 
     if to is None:
         raise UsageError.at("matcap export", "there is no target", "give one with --to")
@@ -111,12 +110,7 @@ def export(
     asked_for += "_tile-piece" * (tile is not None)
     folder = out or Path(f"{opened.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(opened.name, target)
-    if sidecar.exists() and not overwrite:
-        raise MatcapError.at(
-            sidecar,
-            "the folder has an earlier export",
-            "choose another folder with -o, or give --overwrite",
-        )
+    check_output([sidecar], overwrite=overwrite)
     check_writable(folder, count * export_bytes(*opened.maps.size))
     job = ExportJob(
         opened.maps,
@@ -155,11 +149,5 @@ def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:
     if quiet:
         return
     typer.echo(f"wrote {done.folder} ({', '.join(done.files)})", err=True)
-    if done.residual is not None:
-        form = f", {done.workflow} workflow" if done.workflow else ""
-        typer.echo(f"residual{form}: {done.residual}", err=True)
-    for name, other in list(done.residuals.items()):
-        if other is not done.residual:
-            typer.echo(f"  {name}: {other}", err=True)
     for note in done.notes:
         typer.echo(f"note: {note}", err=True)

@@ -185,7 +185,7 @@ def _flushed(code: int) -> int:
 def _explained(error: Exception) -> Exception:
     """The MatcapError of a failure to write to stdout or to use a file; other errors themselves.
 
-    Other files are written through files/staging.py. A file cannot be used where its name is too
+    Other files are written through files/output.py. A file cannot be used where its name is too
     long, or a parent folder is not readable.
     """
     if not isinstance(error, OSError):

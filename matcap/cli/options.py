@@ -10,7 +10,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from typer.core import TyperCommand
 
-from matcap.files.mark import mark_of
+from matcap.brdf.folder import mapset_files
 
 T = TypeVar("T")
 
@@ -37,11 +37,7 @@ StrictOption = Annotated[
 ]
 OverwriteOption = Annotated[
     bool,
-    typer.Option("--overwrite", help="Replace existing outputs, even of another kind."),
-]
-ReplaceOption = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace a file that another program or command wrote."),
+    typer.Option("--overwrite", help="Replace existing outputs."),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")]
 
@@ -63,17 +59,15 @@ class PlainCommand(TyperCommand):
         return params
 
 
-_READ = (".matcap", ".json", ".exr")  # of a folder: materials, map sets and their pictures
-
-
 def files_read(*given: Path | None) -> list[Path]:
-    """Files among `given`, and possible maps in given folders or next to a map set's JSON file."""
+    """Files among `given`, and the materials and map sets in given folders."""
     return [file for path in given if path is not None for file in _of(path)]
 
 
 def _of(path: Path) -> Iterable[Path]:
-    if path.is_dir() or path.suffix.lower() == ".json":
-        folder = path if path.is_dir() else path.parent
-        files = [file for file in sorted(folder.glob("*")) if file.suffix.lower() in _READ]
-        return [file for file in files if not mark_of(file)]  # what relight left is no map
-    return [path]
+    if not path.is_dir() and path.suffix.lower() != ".json":
+        return [path]
+    folder = path if path.is_dir() else path.parent
+    sets = [file.stem for file in folder.glob("*.json")]
+    maps = {file for name in sets for file in mapset_files(name)}
+    return [file for file in folder.glob("*") if file.suffix == ".matcap" or file.name in maps]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import JsonOption, QuietOption, ReplaceOption, files_read, printer
+from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, files_read, printer
 from matcap.field.options import ReadOptions
 from matcap.relight.options import RelightOptions
 
@@ -39,7 +39,7 @@ def relight(
     explain: Annotated[
         bool, typer.Option("--explain", help="Print which effects ran, why, and their time.")
     ] = False,
-    overwrite: ReplaceOption = False,
+    overwrite: OverwriteOption = False,
     json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -48,12 +48,10 @@ def relight(
 
     from matcap.cli.display import RelightDisplay
     from matcap.errors import UsageError
-    from matcap.files.mark import check_replaceable
     from matcap.files.memory import check_memory
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_output, check_writable
     from matcap.relight.named import ANIMATIONS, light_sheet
     from matcap.relight.output import (
-        MARK,
         check_path,
         check_tiles_path,
         files_of,
@@ -90,8 +88,9 @@ def relight(
     parse_choice(asked.effects)
     outputs = files_of(out, asked.frames if animate else None)
     outputs += [] if explain_map is None else [explain_map]
-    inputs = files_read(path, maps_from, Path(scene) if scene else None)
-    check_replaceable(outputs, MARK, inputs=inputs, overwrite=overwrite)
+    inputs = files_read(path, Path(scene) if scene else None)
+    inputs += [] if maps_from is None else [maps_from]
+    check_output(outputs, inputs=inputs, overwrite=overwrite)
     wanted = _scene(scene, light or ["top"], size)
     if list(light) == ["flash"] and maps_from is None:
         wanted = _photographed(path, size) or wanted

@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import QuietOption, ReplaceOption, printer
+from matcap.cli.options import OverwriteOption, QuietOption, printer
 from matcap.field.draw_options import DrawOptions, SampleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from matcap.field.material import Material
-
-
-_MARK = "matcap sample"  # in its picture's metadata
 
 
 @with_settings
@@ -27,7 +24,7 @@ def sample(
     out: Annotated[Path, typer.Option("--out", "-o", help="The picture, .png or .exr.")] = Path(
         "samples.png"
     ),
-    overwrite: ReplaceOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Draw random materials from the prior and render them under a flash.
@@ -35,14 +32,10 @@ def sample(
     Each is near a random one of the prior's training photographs, or near the one given with
     --like. synth, relight, export, view and blend take them like any other material.
     """
-    from functools import partial
-
-    from matcap.field.header import provenance_says
     from matcap.field.plane import check_seed
-    from matcap.files.mark import check_replaceable
     from matcap.files.names import check_suffix
+    from matcap.files.output import Output, check_output, check_writable
     from matcap.files.picture import SUFFIXES, write_picture
-    from matcap.files.staging import check_writable, staged
     from matcap.space.prior.sample import sample_sheet
 
     options, near = chosen(SampleOptions, asked), chosen(DrawOptions, drawn_near)
@@ -52,21 +45,16 @@ def sample(
     files = [out]
     if materials is not None:
         files += [materials / f"{_called(near.like)}_{seed + i}.matcap" for i in range(count)]
-    check_replaceable(
-        files,
-        _MARK,
-        inputs=[file for file in (near.like, options.prior) if file is not None],
-        overwrite=overwrite,
-        own=partial(provenance_says, "drawn"),
-    )
+    inputs = [file for file in (near.like, options.prior) if file is not None]
+    check_output(files, inputs=inputs, overwrite=overwrite)
     draw = drawing(near, options.prior)
     if materials is not None:
         check_writable(materials, 4_000_000 * count)
     drawn = [draw(seed + index) for index in range(count)]
-    write_picture(sample_sheet(drawn, seed), out, _MARK)
+    write_picture(sample_sheet(drawn, seed), out)
     written = [out]
     if materials is not None:
-        with staged(materials) as stage:
+        with Output(materials).stage() as stage:
             for material in drawn:
                 material.save(stage / f"{material.name}.matcap")
                 written.append(materials / f"{material.name}.matcap")

@@ -17,7 +17,6 @@ from matcap.synth.request import SynthArea, SynthRequest, Work
 
 if TYPE_CHECKING:
     from matcap.field.material import Material
-    from matcap.synth.precision import ChosenPrecision
 
 
 class SynthCommand(PlainCommand):
@@ -72,13 +71,12 @@ def synth(
 
     keep_memory()  # this process is matcap's own
     targets = exported.get("targets", ())
-    if targets and (given.get("single") or given.get("udim")):
+    if targets and given.get("udim"):
         raise UsageError.at(
             "--export",
-            "only a map set with a file per map can be exported",
-            "leave out --single or --udim",
+            "a texture set cannot be exported",
+            "leave out --udim, or give the material to matcap export --udim",
         )
-    asked_area = chosen(SynthArea, where)
     is_piece = given.get("tile") == "piece"
     if is_piece and {"size", "region"} & {*where}:
         raise UsageError.at(
@@ -86,22 +84,15 @@ def synth(
             "the periodic exemplar has a fixed size",
             "leave out --size and --region, or give --tile alone for a periodic texture",
         )
-    area = asked_area.rectangle
+    area = chosen(SynthArea, where).rectangle
     subject, name = _subject(material, given.get("seed", 0), near)
     read = chosen(ReadOptions, reading)
-    asked = SynthRequest(
-        subject, area, name=name, read=read, blend=asked_area.masked_blend, **given
-    )
+    asked = SynthRequest(subject, area, name=name, read=read, **given)
     slug = _slug(asked)
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{slug}")
 
     say = printer(quiet=quiet)
-
-    def on_precision(choice: ChosenPrecision) -> None:
-        if asked.precision == "auto":
-            say(choice.sentence())
-
     left = 0 if working.get("resume") else unfinished_bytes(folder, name)
     if left:
         say(
@@ -110,11 +101,10 @@ def synth(
         )
     try:
         with SynthDisplay.open(quiet=quiet) as shown:
-            given_files = (subject, asked_area.blend, asked_area.mask)
-            inputs = tuple(file for file in given_files if isinstance(file, Path))
+            inputs = (subject,) if isinstance(subject, Path) else ()
             working = {"workers": os.cpu_count() or 1, **working}
             work = Work(progress=shown.progress, overwrite=overwrite, inputs=inputs, **working)
-            document = synthesise(asked, folder, work, on_precision)
+            document = synthesise(asked, folder, work)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume continues.", err=True)
         raise typer.Exit(ExitCode.INTERRUPTED) from None
@@ -128,17 +118,14 @@ def synth(
 
 def _slug(asked: SynthRequest) -> str:
     """Part of the default folder's name that says what differs from the defaults."""
-    area, blend, read = asked.area, asked.blend, asked.read
+    area, read = asked.area, asked.read
     parts = {
         f"x{area.x}_y{area.y}": (area.x, area.y) != (0, 0),
         f"tile-{asked.tile}": asked.tile is not None,
         f"udim{asked.udim and '{}x{}'.format(*asked.udim)}": asked.udim is not None,
-        f"into-{blend and Path(str(blend.material)).stem}": blend is not None,
         f"{read.generator}": read.generator is not None,
-        f"{asked.precision}": asked.precision != "fp32",
         read.adjustments.file_part: read.adjustments.changes,
         f"variety{read.variety}": read.variety is not None,
-        "single": asked.single,
         "mip": asked.mipmap,
         "png": asked.png,
         "dx": asked.normal == "dx",

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import QuietOption, ReplaceOption, printer
+from matcap.cli.options import OverwriteOption, QuietOption, printer
 from matcap.field.options import ReadOptions
 from matcap.view.options import ViewOptions
 
@@ -18,27 +18,22 @@ from matcap.view.options import ViewOptions
 def view(
     path: Annotated[
         Path,
-        typer.Argument(
-            help="A material, a map set's folder, a capture's folder, or a folder of captures."
-        ),
+        typer.Argument(help="A material, a map set's folder or a capture's folder."),
     ] = Path("."),
     given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
-    overwrite: ReplaceOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Show a material in the browser: endless plane, sphere and cylinder, under any light.
 
-    A folder of captures, written by matcap batch, is shown as a library. The page is served to this
-    machine only, until Ctrl-C. Its address is printed on stdout.
+    The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
-    from matcap.errors import UsageError
-    from matcap.files.mark import check_replaceable
-    from matcap.view.document import MARK, check_page_path, sealed_page, write_page
-    from matcap.view.library import Library, find_library
+    from matcap.files.output import check_output
+    from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.references import find_references
     from matcap.view.serve import serve
-    from matcap.view.server import make_app, make_library
+    from matcap.view.server import make_app
     from matcap.view.subject import Materials, open_subject
 
     def announce(address: str) -> None:
@@ -47,21 +42,10 @@ def view(
 
     read, asked = chosen(ReadOptions, reading), chosen(ViewOptions, given)
     blend, photo, html = asked.blend, asked.photo, asked.html
-    port, opens = asked.port, asked.opens
     if html is not None:
         check_page_path(html)
         inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
-        check_replaceable([html], MARK, inputs=inputs, overwrite=overwrite)
-    files = find_library(path)
-    if files:
-        for name in ("blend", "photo", "html", "seed"):
-            if given.get(name):
-                raise UsageError.at(
-                    f"--{name}", "this folder has several materials", "name one of them"
-                )
-        library, name = Library(files, read), path.resolve().name
-        serve(partial(make_library, library, name), announce=announce, port=port, opens=opens)
-        return
+        check_output([html], inputs=inputs, overwrite=overwrite)
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
     references = find_references(path, subject.facts.name, photo, material)
@@ -70,4 +54,4 @@ def view(
         printer(quiet=quiet)(f"wrote {html}")
         return
     app = partial(make_app, subject, references=references, adjust=read.adjustments)
-    serve(app, announce=announce, port=port, opens=opens)
+    serve(app, announce=announce, port=asked.port, opens=asked.opens)

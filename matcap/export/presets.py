@@ -1,17 +1,16 @@
 """Textures without a document, named and packed as libraries and engines expect them.
 
-A preset is a table of textures: name, depth, content. The normal map's direction is always in its
-name. libraries.py and engines.py have the tables.
+The normal map's direction is always in its name. engines.py has the table of all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from string import Formatter
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from torch import Tensor
@@ -33,12 +32,17 @@ from matcap.export.shading import MATCAP, TargetShading
 from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
+    BASE,
     BENT,
+    CAVITY,
     CODED_HEIGHT,
+    DIFFUSE,
     HEIGHT,
     NORMAL,
     OCCLUSION,
+    ROUGHNESS,
     SIGNED_NORMAL,
+    SPECULAR,
     Export,
     Workflow,
     coded_height,
@@ -140,22 +144,6 @@ class EngineModel:
         return forms[nearest(job, [surface(one) for one in forms], _MARGIN)]
 
 
-@dataclass(frozen=True)
-class PresetTexture:
-    """One texture of a preset."""
-
-    label: str
-    """Value of {map} in its name."""
-    depth: Depth
-    """Default depth."""
-    make: Callable[[PackedMaterial], Picture]
-    """Computes its values."""
-    meaning: str
-    """Meaning of its values, for the sidecar."""
-    srgb: bool | None = False
-    """Integers are sRGB-encoded; None: if F0 is coloured."""
-
-
 # Computes text files from the job, the textures' file names by kind, and the engine's model.
 Documents = Callable[[ExportJob, dict[str, str], EngineModel], dict[str, str]]
 
@@ -166,8 +154,9 @@ class Preset:
 
     pattern: str
     """File names without suffix; fields stem, map, res and format."""
-    textures: dict[str, PresetTexture]
-    """Textures by their names in --maps."""
+    textures: Mapping[str, str]
+    """Textures by their names in --maps: "LABEL=CONTENT DEPTH", with {map} of the file name, the
+    content's name in CONTENT, by default the texture's own, and the depth, by default 8."""
     normal: NormalMaps = "gl"
     """Direction of the normal map's green."""
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
@@ -182,24 +171,59 @@ class Preset:
     """Computes text files to write with the textures."""
 
 
-def plain(kind: str) -> Callable[[PackedMaterial], Picture]:
-    """A function that returns a map unchanged."""
+def _map(kind: str) -> Callable[[PackedMaterial], Picture]:
     return lambda material: material.piece.picture(kind)
 
 
-def _smoothness(material: PackedMaterial) -> Picture:
-    return 1.0 - material.roughness
+def _metallic(material: PackedMaterial) -> Picture:
+    if material.model.workflow == "specular":
+        return 0.0 * material.roughness
+    return material.metallic.metallic
 
 
-# Channels of packed textures: (H, W), F0 (H, W, 3).
+# Channels of textures: (H, W) or (H, W, 3).
 _CHANNELS: dict[str, Callable[[PackedMaterial], Picture]] = {
-    "occlusion": plain("occlusion"),
+    **{kind: _map(kind) for kind in ("diffuse", "specular", "occlusion", "cavity", "height")},
+    "normal": _map("normal"),
+    "bent": lambda material: np.float32(0.5) + np.float32(0.5) * material.piece.picture("bent"),
+    "base": lambda m: m.base if m.model.workflow == "specular" else m.metallic.base,
+    "level": lambda material: material.metallic.dielectric / np.float32(_LEVEL_F0),
     "roughness": lambda material: material.roughness,
-    "smoothness": _smoothness,
-    "metallic": lambda material: material.metallic.metallic,
+    "smoothness": lambda material: 1.0 - material.roughness,
+    "metallic": _metallic,
     "F0": lambda material: rgb(material.f0),
     "zero": lambda material: 0.0 * material.roughness,
     "one": lambda material: np.ones_like(material.roughness),
+}
+_LEVEL_F0 = 0.08  # F0 of specular level 1, in Unreal and Substance
+# Contents of textures: channels, meaning for the sidecar, and whether integers are sRGB-encoded
+# (None: if F0 is coloured).
+CONTENT: dict[str, tuple[str, str, bool | None]] = {
+    "diffuse": ("diffuse", DIFFUSE, True),
+    "specular": ("specular", SPECULAR, None),
+    "roughness": ("roughness", ROUGHNESS, False),
+    "occlusion": ("occlusion", OCCLUSION, False),
+    "cavity": ("cavity", CAVITY, False),
+    "bent": ("bent", f"{BENT}, +Y up (OpenGL)", False),
+    "height": ("height", CODED_HEIGHT, False),
+    "normal": ("normal", NORMAL, False),
+    "base": ("base", BASE, True),
+    "metallic": ("metallic", "metallic", False),
+    "level": ("level", "F0 / 0.08 of the dielectric", False),
+    "f0": ("F0", "F0, on the sRGB curve", True),
+    "f0smooth": ("F0 smoothness", "RGB: F0, on the sRGB curve, A: smoothness", True),
+    "orm": ("occlusion roughness metallic", "R: occlusion, G: roughness, B: metallic", False),
+    "arm": ("occlusion roughness zero", "R: occlusion, G: roughness, B: metallic", False),
+    "mask": (
+        "metallic occlusion one smoothness",
+        "R: metallic, G: occlusion, B: detail, A: smoothness",
+        False,
+    ),
+    "smooth": (
+        "metallic metallic metallic smoothness",
+        "RGB: metallic, A: smoothness",
+        False,
+    ),
 }
 
 
@@ -213,28 +237,14 @@ def packed(*channels: str) -> Callable[[PackedMaterial], Picture]:
     return made
 
 
-def height(label: str, depth: Depth = "16") -> PresetTexture:
-    """The height; as integers scaled to a common range."""
-    return PresetTexture(label, depth, plain("height"), CODED_HEIGHT)
+def _stated(kind: str, text: str) -> tuple[str, str, Depth]:
+    """(label, content, depth) of a preset's texture."""
+    label, _, depth = f" {text}".rpartition(" ") if text.endswith(_DEPTHS) else (text, "", "8")
+    name, _, content = label.strip().partition("=")
+    return name, content or kind, cast(Depth, depth)
 
 
-def normal(depth: Depth = "16") -> PresetTexture:
-    """The normal map, in the preset's direction."""
-    return PresetTexture("", depth, plain("normal"), NORMAL)
-
-
-def occlusion(label: str, depth: Depth = "8") -> PresetTexture:
-    """Ambient occlusion."""
-    return PresetTexture(label, depth, plain("occlusion"), OCCLUSION)
-
-
-def bent(label: str, depth: Depth = "8") -> PresetTexture:
-    """Texture of bent normals (mean unoccluded directions), +Y up."""
-
-    def made(material: PackedMaterial) -> Picture:
-        return np.float32(0.5) + np.float32(0.5) * material.piece.picture("bent")
-
-    return PresetTexture(label, depth, made, f"{BENT}, +Y up (OpenGL)")
+_DEPTHS = ("16", "half", "float")
 
 
 def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> Export:
@@ -249,18 +259,19 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
     pattern = _checked(choice.pattern or preset.pattern)
     model = preset.model and _chosen(job, preset, preset.model.of(job))
     packed: dict[str, tuple[str, TextureFile]] = {}
-    for kind, texture in preset.textures.items():
+    for kind, text in preset.textures.items():
         if wanted and kind not in wanted:
             continue
+        label, _, depth = _stated(kind, text)
         if kind == "normal":
             green = choice.normal or preset.normal
             for way in ("gl", "dx") if green == "both" else (green,):
-                made = _normal(job, texture.depth, dx=way == "dx")
+                made = _normal(job, depth, dx=way == "dx")
                 packed[f"normal_{way}"] = preset.normal_labels[way == "dx"], made
         elif kind == "height":
-            packed[kind] = texture.label, _height(job, texture)
+            packed[kind] = label, _height(job, depth)
         else:
-            packed[kind] = texture.label, _made(job, model, texture)
+            packed[kind] = label, _made(job, model, kind, text)
     names = _names(job, packed, pattern, preset.thousand)
     textures = {names[kind]: made for kind, (_, made) in packed.items()}
     surfaces: dict[str, MadeSurface] = {}
@@ -282,8 +293,8 @@ def _chosen(job: ExportJob, preset: Preset, model: EngineModel) -> EngineModel:
 
     def surface(tried: EngineModel) -> MadeSurface:
         made = {
-            kind: _made(job, tried, texture)
-            for kind, texture in preset.textures.items()
+            kind: _made(job, tried, kind, text)
+            for kind, text in preset.textures.items()
             if kind not in (*_SHADED, "height", "normal")
         }
         return partial(engine_surface, tried, made | {"normal_gl": _normal(job, "16", dx=False)})
@@ -322,26 +333,28 @@ def _entries(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str,
     there = wanted or list(preset.textures)
     entries: dict[str, Any] = {}
     if "height" in there:
-        depth = _height(job, preset.textures["height"]).whole
-        entries |= height_entry(job, *(job.height_code if depth else (1.0, 0.0)))
+        whole = _height(job, _stated("height", preset.textures["height"])[2]).whole
+        entries |= height_entry(job, *(job.height_code if whole else (1.0, 0.0)))
     if set(there) & {*_SHADED, "orm", "mask", "arm"}:
         entries |= occlusion_entry(job)
     return entries
 
 
-def _made(job: ExportJob, model: EngineModel | None, texture: PresetTexture) -> TextureFile:
+def _made(job: ExportJob, model: EngineModel | None, kind: str, text: str) -> TextureFile:
     source = model or EngineModel(MATCAP, "specular")
+    _, content, depth = _stated(kind, text)
+    channels, meaning, srgb = CONTENT[content]
+    pack = packed(*channels.split())
 
     def make(piece: MapRows) -> Picture:
-        return texture.make(PackedMaterial(piece, source))
+        return pack(PackedMaterial(piece, source))
 
-    srgb = job.coloured if texture.srgb is None else texture.srgb
-    return TextureFile.of(job, make, texture.depth, texture.meaning, srgb=srgb)
+    return TextureFile.of(job, make, depth, meaning, srgb=job.coloured if srgb is None else srgb)
 
 
-def _height(job: ExportJob, texture: PresetTexture) -> TextureFile:
+def _height(job: ExportJob, depth: Depth) -> TextureFile:
     """The height texture: integers hold coded heights, floats plane units."""
-    made = TextureFile.of(job, coded_height, texture.depth, CODED_HEIGHT, lossy=False)
+    made = TextureFile.of(job, coded_height, depth, CODED_HEIGHT, lossy=False)
     return made if made.whole else replace(made, make=picture("height"), meaning=HEIGHT)
 
 

@@ -47,23 +47,21 @@ from typing import Any
 from matcap.brdf.seam import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.blender import blender
-from matcap.export.engines import ENGINES, PLAIN
+from matcap.export.engines import PLAIN, PRESETS
 from matcap.export.gltf import gltf_metallic, gltf_specular
 from matcap.export.job import ExportJob, known_scale, material_reach
-from matcap.export.libraries import LIBRARIES
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import mitsuba
 from matcap.export.options import ExportOptions
-from matcap.export.presets import pack
+from matcap.export.presets import Preset, pack
 from matcap.export.surface import Residual, residuals
 from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.maker import MAKER_VERSION
-from matcap.files.mark import check_replaceable
 from matcap.files.names import plain_name, sanitised_name
+from matcap.files.output import Output, check_output
 from matcap.files.settings import known
-from matcap.files.staging import staged
 from matcap.files.udim import TOKEN, tile_names, tile_number
 
 FORMAT = "matcap export"
@@ -77,6 +75,7 @@ _SEAM = (
 # Largest size of an export in bytes a texel: all maps twice, in 32-bit floats.
 _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 
+_FAR = 0.1  # mean residual above which a note warns of it
 _AS_NEAR = 0.02  # relative difference below which two residuals count as equal
 
 # Targets whose programs do not read UDIM tiles.
@@ -93,13 +92,14 @@ DOCUMENTS: dict[str, Forms] = {
     "blender": {None: blender},
     "mitsuba": {None: mitsuba},
 }
-# Presets, and a name for each form of those with two.
-PRESETS: tuple[str, ...] = (
-    *LIBRARIES,
-    *ENGINES,
-    *(f"{name}-{form}" for name, forms in ENGINES.items() if len(forms) > 1 for form in forms),
-)
-TARGETS = (*DOCUMENTS, *PRESETS)
+# Presets by name: all forms, and each form of those with two.
+_BY_NAME: dict[str, Mapping[Workflow | None, Preset]] = PRESETS | {
+    f"{name}-{form}": {form: preset}
+    for name, forms in PRESETS.items()
+    if len(forms) > 1
+    for form, preset in forms.items()
+}
+TARGETS = (*DOCUMENTS, *_BY_NAME)
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
     job = ExportJob(
         opened.maps, opened.name, millimetres, provenance=opened.provenance, reach=reach
     )
-    return write_export(job, target, place / target)
+    return write_export(job, target, place / target, overwrite=True)
 
 
 def export_bytes(width: int, height: int) -> int:
@@ -168,17 +168,17 @@ def write_export(
     """Write maps for a target, all files or none.
 
     Args:
-        folder: created if missing; files of an earlier export for the target are replaced.
+        folder: created if missing.
         options: workflow, and options of presets; the default workflow is engines.PLAIN's, else
             the one with the smaller residual.
         inputs: files that were read, and must not be replaced.
-        overwrite: also replace files that matcap did not write.
+        overwrite: replace existing files.
 
     Raises:
         UsageError: no such target; it has not the map, workflow or texture sets asked for; it
             would replace a file in `inputs`.
         MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
-            matcap did not write.
+            exists.
     """
     known(target, TARGETS, "--to")
     forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
@@ -197,14 +197,8 @@ def write_export(
         "workflow": chosen,
         "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in named.items()},
     }
-    own = _earlier(folder, target)
-    check_replaceable(
-        [folder / name for name in _outputs(made[chosen], job, target)],
-        "matcap export",
-        inputs=inputs,
-        overwrite=overwrite,
-        own=lambda file: file.name in own,
-    )
+    outputs = [folder / name for name in _outputs(made[chosen], job, target)]
+    check_output(outputs, inputs=inputs, overwrite=overwrite)
     files = _write(made[chosen], job, about, folder)
     return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, named)
 
@@ -220,18 +214,9 @@ def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
     Raises:
         UsageError: no such preset.
     """
-    known(name, PRESETS, "--preset")
-    if name in LIBRARIES:
-        return {None: partial(pack, preset=LIBRARIES[name], choice=choice)}
-    engine, forms = next(
-        (engine, forms)
-        for engine, forms in ENGINES.items()
-        if name == engine or name.removeprefix(f"{engine}-") in forms
-    )
+    known(name, _BY_NAME, "--preset")
     return {
-        form: partial(pack, preset=preset, choice=choice)
-        for form, preset in forms.items()
-        if name in (engine, f"{engine}-{form}")
+        form: partial(pack, preset=preset, choice=choice) for form, preset in _BY_NAME[name].items()
     }
 
 
@@ -264,26 +249,11 @@ def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
     return [*sorted(tiles), *export.documents, sidecar_name(job.name, target)]
 
 
-def _earlier(folder: Path, target: str) -> set[str]:
-    """Names of the files of earlier exports for a target in a folder, from their sidecars."""
-    names = set()
-    for sidecar in folder.glob(f"*_{target}.json"):
-        try:
-            about = json.loads(sidecar.read_bytes())
-            if about["format"] != FORMAT or about["target"] != target:
-                continue
-            tiles = [tile_names(name, about["udim"]) for name in about["files"]]
-            names |= {sidecar.name, *about["documents"], *(one for some in tiles for one in some)}
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            continue
-    return names
-
-
 def _write(
     export: Export, job: ExportJob, about: Mapping[str, Any], folder: Path
 ) -> tuple[str, ...]:
     """Write textures, documents and sidecar; returns the files' names, sorted."""
-    with staged(folder) as stage:
+    with Output(folder).stage() as stage:
         for number, tile in ((tile_number(0, 0), job), *job.others()):
             _write_textures(export.textures, tile, stage, number)
         for file, content in export.documents.items():
@@ -311,6 +281,12 @@ def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | No
     means = {form: 0.0 if off is None else off.mean for form, off in errors.items()}
     most = (1.0 + _AS_NEAR) * min(means.values())
     return next(form for form, mean in means.items() if mean <= most)
+
+
+def _far(target: str, off: Residual | None) -> list[str]:
+    if off is None or off.mean <= _FAR:
+        return []
+    return [f"{target} cannot represent this material: {off} differ from matcap's"]
 
 
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
@@ -341,7 +317,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         },
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": [*made.notes, *([] if job.repeats else [_SEAM])],
+        "notes": [*made.notes, *_far(target, off), *([] if job.repeats else [_SEAM])],
         **made.entries,
         "provenance": dict(job.provenance),
     }

@@ -69,15 +69,6 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         ) from error
 
 
-def provenance_says(entry: str, path: Path) -> bool:
-    """Whether the file is a material whose provenance has an entry of this name."""
-    try:
-        with opened(path, "np") as (_, about):
-            return entry in about["provenance"]
-    except MatcapError:
-        return False
-
-
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
     if not metadata or "matcap" not in metadata:
         raise MatcapError.at(

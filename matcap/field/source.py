@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,20 +90,6 @@ class DerivedSource:
     def device_type(self) -> str:
         """Device that computes it: "cpu" or "cuda"."""
         return self.source.device_type
-
-
-@runtime_checkable
-class Network(Source, Protocol):
-    """A source computed by a network, whose precision can be lowered."""
-
-    @property
-    def device(self) -> torch.device:
-        """Device that computes it."""
-        ...
-
-    def lowered(self, finest: int) -> Network:
-        """A copy that computes level `finest` and all coarser levels in bfloat16."""
-        ...
 
 
 class FieldGenerator(Protocol):

@@ -1,7 +1,7 @@
 """Reads and writes OpenEXR files: single-part scanlines, ZIP, Rec.709.
 
 Written with OpenEXR, which stores no date, so that equal arrays give equal files. Read with
-OpenImageIO, which returns errors, where OpenEXR prints them. Tiled files: synth/exr_tiles.py.
+OpenImageIO, which returns errors, where OpenEXR prints them. Tiled files: synth/pictures.py.
 """
 
 from __future__ import annotations
@@ -18,23 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.maker import SOFTWARE
 from matcap.files.rec709 import REC709
 
 LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 
 
-def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool, mark: str = "") -> None:
+def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
     """Write (H, W, 3) as channels R, G, B or (H, W) as channel Y, as half floats or float32.
 
-    Not atomic: write into a staged folder. `mark` is the writing command (mark.py).
+    Not atomic: write into an Output's stage.
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
         OSError: the file cannot be written.
     """
-    more = {"chromaticities": REC709} | ({SOFTWARE: mark} if mark else {})
-    _write(path, {"RGB" if pixels.ndim == 3 else "Y": pixels}, more, half=half)
+    channels = {"RGB" if pixels.ndim == 3 else "Y": pixels}
+    _write(path, channels, {"chromaticities": REC709}, half=half)
 
 
 def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> None:

@@ -4,4 +4,3 @@ from __future__ import annotations
 
 MAKER_VERSION = "0.1.0"  # of matcap
 MAKER = f"matcap {MAKER_VERSION}"
-SOFTWARE = "Software"  # name of the entry in PNG and EXR files

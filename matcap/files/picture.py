@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from matcap.files.exr import write_exr
 from matcap.files.names import check_suffix
+from matcap.files.output import Output
 from matcap.files.png import quantised, write_png
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged_file
 
 SUFFIXES = (".exr", ".png")
 
@@ -27,7 +27,7 @@ def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> byt
     return stored.getvalue()
 
 
-def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> None:
+def write_picture(image: NDArray[np.float32], path: Path) -> None:
     """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit sRGB.
 
     Raises:
@@ -35,8 +35,8 @@ def write_picture(image: NDArray[np.float32], path: Path, mark: str = "") -> Non
         MatcapError: values that are not finite, or the file cannot be written.
     """
     check_suffix(path, SUFFIXES, "picture")
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         if path.suffix.lower() == ".exr":
-            write_exr(file, image, half=False, mark=mark)
+            write_exr(file, image, half=False)
         else:
-            write_png(file, srgb_picture(image), bits=8, mark=mark)
+            write_png(file, srgb_picture(image), bits=8)

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.maker import SOFTWARE
 
 PNG_HEADER = 33  # bytes: signature and IHDR
 
 
-def write_png(path: Path, coded: NDArray[np.float32], *, bits: int, mark: str = "") -> None:
+def write_png(path: Path, coded: NDArray[np.float32], *, bits: int) -> None:
     """Write code values (H, W, 3) or (H, W), clipped to [0, 1].
 
     Encoded in memory first, so that a full disk raises OSError. Not atomic: write into a staged
@@ -28,7 +27,7 @@ def write_png(path: Path, coded: NDArray[np.float32], *, bits: int, mark: str = 
     """
     if not np.isfinite(coded).all():
         raise MatcapError("has values that are not finite", where=path.name)
-    path.write_bytes(png_bytes(quantised(coded, bits=bits), mark))
+    path.write_bytes(png_bytes(quantised(coded, bits=bits)))
 
 
 def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -37,16 +36,12 @@ def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | N
     return whole.astype(np.uint8) if bits == 8 else whole.astype(np.uint16)
 
 
-def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16], mark: str = "") -> bytes:
-    """Encode (H, W, 4), (H, W, 3) or (H, W) code values as PNG, with the writing command's mark."""
+def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """Encode (H, W, 4), (H, W, 3) or (H, W) code values as PNG."""
     import cv2
 
     _, encoded = cv2.imencode(".png", swap_red_blue(whole))
-    png = encoded.tobytes()
-    if not mark:
-        return png
-    text = png_chunk(b"tEXt", f"{SOFTWARE}\0{mark}".encode())
-    return png[:PNG_HEADER] + text + png[PNG_HEADER:]
+    return encoded.tobytes()
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:

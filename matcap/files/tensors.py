@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from matcap.errors import MatcapError
 from matcap.files.digest import DIGEST, METHOD, digest_prefix
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 
 Loaded = TypeVar("Loaded", bound=nn.Module)
 
@@ -55,7 +55,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[s
     )
     header += " " * (-len(header) % 8)
     # save_file would ignore the umask.
-    with staged_file(path) as file, file.open("wb") as opened:
+    with Output.file(path) as file, file.open("wb") as opened:
         opened.write(len(header).to_bytes(8, "little") + header.encode())
         opened.write(content)
 

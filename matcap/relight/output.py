@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
-from matcap.files.mark import mark_mp4
 from matcap.files.names import check_suffix
+from matcap.files.output import Output, write_error
 from matcap.files.png import png_bytes
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged, staged_file, write_error
 from matcap.relight.scene import Film
 from matcap.relight.tally import TILE
 
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from matcap.relight.render import Rendering
 
 Radiance = NDArray[np.float32]
-MARK = "matcap relight"  # the software named in the files' metadata
 STILLS = (".png", ".exr")
 MOVIES = (".gif", ".mp4", ".exr")
 _FRAMES_PER_SECOND = 24
@@ -57,9 +55,9 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
         MatcapError: values that are not finite; the file cannot be written.
     """
     check_path(path, moving=False)
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         if path.suffix.lower() == ".exr":
-            write_exr(file, radiance, half=False, mark=MARK)
+            write_exr(file, radiance, half=False)
         else:
             if not all(np.isfinite(row).all() for row in radiance):
                 raise MatcapError.at(
@@ -67,7 +65,7 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
                     "the picture has values that are not finite",
                     "write it as .exr to see where",
                 )
-            file.write_bytes(png_bytes(_codes(radiance, film), MARK))
+            file.write_bytes(png_bytes(_codes(radiance, film)))
 
 
 def write_tiles(rendering: Rendering, path: Path) -> None:
@@ -97,8 +95,8 @@ def write_tiles(rendering: Rendering, path: Path) -> None:
     columns = min(_ACROSS, len(panels))
     panels += [np.zeros_like(panels[0])] * (-len(panels) % columns)
     rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
-    with staged_file(path) as file:
-        file.write_bytes(png_bytes(np.vstack(rows), MARK))
+    with Output.file(path) as file:
+        file.write_bytes(png_bytes(np.vstack(rows)))
 
 
 def files_of(path: Path, frames: int | None = None) -> list[Path]:
@@ -124,10 +122,10 @@ def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
     """
     check_path(path, moving=True)
     suffix = path.suffix.lower()
-    with staged(path.parent) as stage:
+    with Output(path.parent).stage() as stage:
         if suffix == ".exr":
             for index, frame in enumerate(frames):
-                write_exr(stage / frame_name(path, index), frame, half=False, mark=MARK)
+                write_exr(stage / frame_name(path, index), frame, half=False)
         elif suffix == ".gif":
             _write_gif(frames, stage / path.name, film)
         else:
@@ -158,7 +156,6 @@ def _write_gif(frames: Iterable[Radiance], path: Path, film: Film) -> None:
             append_images=rest,
             duration=10 * round(100 / _FRAMES_PER_SECOND),
             loop=0,
-            comment=MARK.encode(),
         )
 
 
@@ -179,4 +176,3 @@ def _write_mp4(frames: Iterable[Radiance], path: Path, film: Film) -> None:
         writer.write(np.ascontiguousarray(codes[..., ::-1]))
     if writer is not None:
         writer.release()
-        mark_mp4(path, MARK)

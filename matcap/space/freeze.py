@@ -8,7 +8,7 @@ around it alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -118,27 +118,11 @@ class FoldedDecoder:
 
     def to(self, device: torch.device) -> FoldedDecoder:
         """A copy on another device."""
-        return replace(self._changed(lambda layer, _: layer.to(device)), head=self.head.to(device))
-
-    def lowered(self, finest: int = 0) -> FoldedDecoder:
-        """A copy that computes level `finest` and all coarser levels in bfloat16.
-
-        The head stays in float32: its outputs are the maps, which need more than eight bits.
-        """
-        return self._changed(
-            lambda layer, level: layer.to(torch.bfloat16) if level >= finest else layer
+        down, up = (
+            tuple(tuple(layer.to(device) for layer in block) for block in blocks)
+            for blocks in (self.down, self.up)
         )
-
-    def _changed(self, change: Callable[[FoldedLayer, int], FoldedLayer]) -> FoldedDecoder:
-        """A copy with each layer but the head changed, by the layer and its level."""
-        down = tuple(
-            tuple(change(layer, level) for layer in block) for level, block in enumerate(self.down)
-        )
-        up = tuple(
-            tuple(change(layer, DEPTH - 1 - index) for layer in block)
-            for index, block in enumerate(self.up)
-        )
-        return replace(self, down=down, up=up)
+        return replace(self, down=down, up=up, head=self.head.to(device))
 
     def decode(self, field: RandomField, rows: Spans, columns: Spans) -> Tensor:
         """Raw outputs (B, OUTPUTS, H, W) over the spans' output, float32.

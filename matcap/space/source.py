@@ -126,10 +126,6 @@ class DecoderSource:
         """Device that computes it: "cpu" or "cuda"."""
         return self.device.type
 
-    def lowered(self, finest: int) -> DecoderSource:
-        """A copy that computes level `finest` and all coarser levels in bfloat16."""
-        return replace(self, decoder=self.decoder.lowered(finest))
-
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (OUTPUTS, height + 2 RING, width + 2 RING) of a block and its ring."""
         if self.turned:

@@ -1,76 +1,106 @@
-"""Assembles the tiled files of one map set from rendered parts of blocks."""
+"""Computed texels of one map set, in a file of plain numbers, until all are there.
+
+Parts arrive in any order. A second file lists those that are complete, with the checksum of their
+bytes, so that an interrupted run is resumed: a part whose bytes a power cut took is computed again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+import os
+import struct
 from pathlib import Path
+from typing import IO, Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.field.blocks import BlockPart
-from matcap.synth.exr_tiles import Tile, TileFile, encode_tile, tiles_over
-from matcap.synth.pictures import Fragment, PictureFile, Rendered
+
+_PART = struct.Struct("<QI")  # index of a part, and checksum
+_WRITTEN = 2**64 - 1  # index that says that the map set's files are written
 
 
 class Assembly:
-    """Writes rendered parts to files; joins the fragments of tiles that several blocks overlap.
+    """The texels of a map set.
 
     Args:
-        files: one for each picture; tiles that a file already has are kept.
+        path: of the file, new or as an interrupted run left it; the list of parts has the suffix
+            .parts.
+        size: (width, height) in texels.
+        kind: type of a texel.
     """
 
-    def __init__(self, pictures: Sequence[PictureFile], files: Sequence[TileFile]) -> None:
-        self.pictures = pictures
-        self.files = files
-        self._started: list[dict[Tile, _Started]] = [{} for _ in files]
+    def __init__(self, path: Path, size: tuple[int, int], kind: np.dtype[np.void]) -> None:
+        self.size, self.kind = size, kind
+        parts = path.with_suffix(".parts")
+        known = parts.read_bytes() if parts.exists() else b""
+        known = known[: len(known) // _PART.size * _PART.size]
+        self._parts = dict(_PART.iter_unpack(known))
+        self._list = parts.open("wb")
+        self._list.write(known)
+        self._path = path
+        path.touch()
+        self._file = path.open("r+b")
 
-    def lacks(self, part: BlockPart) -> bool:
-        """Whether any file lacks a tile that the part overlaps."""
-        return any(tile not in file for tile in tiles_over(part.target) for file in self.files)
+    @property
+    def written(self) -> bool:
+        """Whether the map set's files are written, and its texels are gone."""
+        return _WRITTEN in self._parts
 
-    def add(self, rendered: Sequence[Rendered]) -> None:
-        """Write the tiles of a rendered part, one Rendered for each picture."""
-        for file, started, one in zip(self.files, self._started, rendered, strict=True):
-            for tile, chunk in one.tiles:
-                if tile not in file:
-                    file.append(tile, chunk)
-            for fragment in one.fragments:
-                tile = fragment.tile
-                if tile in file:
-                    continue
-                whole = started.setdefault(tile, _Started(file, tile))
-                if whole.fill(fragment):
-                    file.append(tile, encode_tile(file.layout, tile, whole.planes))
-                    del started[tile]
+    def has(self, index: int, part: BlockPart) -> bool:
+        """Whether a part is complete; `index` is its place in the order of all."""
+        if self.written:
+            return True
+        if index not in self._parts:
+            return False
+        rows, columns = part.target
+        length = (columns.stop - columns.start) * self.kind.itemsize
+        lines = (
+            os.pread(self._file.fileno(), length, self._place(row, columns))
+            for row in range(rows.start, rows.stop)
+        )
+        return crc32(b"".join(lines)) == self._parts[index]
+
+    def add(self, index: int, part: BlockPart, texels: NDArray[np.void]) -> None:
+        """Store the (rows, columns) texels of a part."""
+        if self.written:
+            return
+        rows, columns = part.target
+        for row, line in zip(range(rows.start, rows.stop), texels, strict=True):
+            self._file.seek(self._place(row, columns))
+            self._file.write(line.tobytes())
+        self._file.flush()
+        self._note(index, crc32(texels.tobytes()))
+
+    def rows(self, rows: slice) -> NDArray[np.void]:
+        """(rows, width) texels; thread-safe."""
+        return read_texels(self._file, self.kind, self.size[0], rows)
+
+    def finish(self) -> None:
+        """Drop the texels, once the map set's files are written."""
+        if not self.written:
+            self._note(_WRITTEN, 0)
+        self.close()
+        self._path.unlink()
+
+    def close(self) -> None:
+        """Close both files."""
+        self._list.close()
+        self._file.close()
+
+    def _place(self, row: int, columns: slice) -> int:
+        """Offset in the file of a row's columns."""
+        return (row * self.size[0] + columns.start) * self.kind.itemsize
+
+    def _note(self, index: int, checksum: int) -> None:
+        self._list.write(_PART.pack(index, checksum))
+        self._list.flush()
 
 
-class _Started:
-    """A tile of which some fragments have arrived."""
-
-    def __init__(self, file: TileFile, tile: Tile) -> None:
-        shape = file.layout.shape(tile)
-        self._missing = shape[0] * shape[1]
-        self.planes: list[NDArray[np.generic]] = [
-            np.empty(shape, channel.dtype) for channel in file.layout.channels
-        ]
-
-    def fill(self, fragment: Fragment) -> bool:
-        """Copy a fragment into the tile; return whether the tile is complete."""
-        for plane, values in zip(self.planes, fragment.planes, strict=True):
-            plane[fragment.place] = values
-        self._missing -= fragment.planes[0].size
-        return self._missing == 0
-
-
-@contextmanager
-def assembly(stage: Path, pictures: Sequence[PictureFile]) -> Iterator[Assembly]:
-    """Open the pictures' files in a folder, new or as an interrupted run left them."""
-    with ExitStack() as stack:
-        files = []
-        for picture in pictures:
-            path = stage / picture.file
-            path.touch()
-            files.append(TileFile(stack.enter_context(path.open("r+b")), picture.layout))
-        yield Assembly(pictures, files)
+def read_texels(file: IO[bytes], kind: np.dtype[Any], width: int, rows: slice) -> NDArray[Any]:
+    """(rows, width) texels of a file of plain numbers; thread-safe."""
+    length = width * kind.itemsize
+    data = os.pread(file.fileno(), (rows.stop - rows.start) * length, rows.start * length)
+    data += bytes((rows.stop - rows.start) * length - len(data))  # not written yet
+    return np.frombuffer(data, kind.base).reshape(-1, width, *kind.shape)

@@ -1,4 +1,4 @@
-"""Opens the field of a request: one material or a blend of two, by example or decoder.
+"""Opens the field of a request, by example or decoder.
 
 Modules that need PyTorch are imported on demand: fields by example do not, and importing it takes
 longer than synthesising a map.
@@ -6,7 +6,7 @@ longer than synthesising a map.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +25,8 @@ from matcap.files.settings import refuse_options
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from matcap.field.material import Material
     from matcap.field.source import Source
-    from matcap.synth.precision import ChosenPrecision
-    from matcap.synth.request import MaskedBlend, SynthRequest
+    from matcap.synth.request import SynthRequest
 
 
 @dataclass(frozen=True)
@@ -38,16 +36,13 @@ class OpenedField:
     source: Source
     info: MapSetInfo
     """Name, seed, position and provenance."""
-    choice: ChosenPrecision | None = None
-    """Precision of a network; None by example."""
 
 
 def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     """Open the field of a request; with `tile` "piece" the returned request has the tile's area.
 
     Raises:
-        MatcapError: a file is missing, damaged, or not a material; the mask is not an image; the
-            device does not support the precision.
+        MatcapError: a file is missing, damaged, or not a material.
         UsageError: a period out of range, no CUDA device, a generator that the material does not
             have, or a network's option with an exemplar.
     """
@@ -55,26 +50,22 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
         refuse_with_piece(
             {
                 "--udim": request.udim,
-                "--blend": request.blend,
                 "--variety": request.read.variety,
                 "--seed": request.seed != 0,
             }
         )
     exemplified = None
     if isinstance(request.material, Path) and request.read.generator != "decoder":
-        exemplified = None if request.blend else read_exemplified(request.material)
-    if request.blend is not None:
-        source, name, provenance, choice = _blend(request, request.blend)
-    elif exemplified is not None:
-        source, name, provenance, choice = _of_exemplar(request, exemplified)
+        exemplified = read_exemplified(request.material)
+    if exemplified is not None:
+        source, name, provenance = _of_exemplar(request, exemplified)
     else:
-        source, name, provenance, choice = _of_material(request)
-    if choice is None:
-        refuse_options(
-            {"--precision": request.precision != "fp32", "--device": request.device == "cuda"},
-            "only the decoder (the paper's network) has a choice of precision and device",
-            "leave it out, or give --generator decoder",
-        )
+        source, name, provenance = _of_material(request)
+    refuse_options(
+        {"--device": request.device == "cuda" and source.device_type == "cpu"},
+        "only the decoder (the paper's network) has a choice of device",
+        "leave it out, or give --generator decoder",
+    )
     if request.tile == "piece":
         width, height = source.period or (0, 0)
         request = replace(request, area=Rectangle(0, 0, width or 0, height or 0))
@@ -86,10 +77,10 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
         request.name or name, request.seed, (request.area.x, request.area.y), provenance
     )
     source = AdjustedSource(source, adjust) if adjust.changes else source
-    return request, OpenedField(source, info, choice)
+    return request, OpenedField(source, info)
 
 
-_FieldParts = tuple["Source", str, dict[str, Any], "ChosenPrecision | None"]
+_FieldParts = tuple["Source", str, dict[str, Any]]
 
 
 def _of_exemplar(request: SynthRequest, exemplified: Exemplified) -> _FieldParts:
@@ -99,21 +90,22 @@ def _of_exemplar(request: SynthRequest, exemplified: Exemplified) -> _FieldParts
         source: Source = example.repeating_source()
     else:
         source = example.varied(request.read.variety).source(request.seed, request.period)
-    return source, exemplified.name, dict(exemplified.provenance), None
+    return source, exemplified.name, dict(exemplified.provenance)
 
 
 def _of_material(request: SynthRequest) -> _FieldParts:
     from matcap.example.repeat.source import RepeatedSource
     from matcap.field.field import Field
-    from matcap.field.source import Network
-    from matcap.synth.precision import choose
+    from matcap.field.material import Material
 
-    material = _loaded(request.material, request)
+    given = request.material
+    material = Material.load(given) if isinstance(given, Path) else given
+    material = material.by(request.read.generator).varied(request.read.variety)
     name, provenance = material.name, dict(material.provenance)
     if request.tile == "piece":
         maps = material.repeating()
         source: Source = RepeatedSource(maps.stacked().numpy(), maps.texel_size)
-        return source, name, provenance, None
+        return source, name, provenance
     source = Field(
         material,
         request.seed,
@@ -121,35 +113,7 @@ def _of_material(request: SynthRequest) -> _FieldParts:
         device=request.device,
         generator=request.read.generator,
     ).source
-    if not isinstance(source, Network):
-        return source, name, provenance, None
-    choice = choose(source, request.precision)
-    return choice.source, name, provenance, choice
-
-
-def _blend(request: SynthRequest, blend: MaskedBlend) -> _FieldParts:
-    """The request's material where the mask is black, the blend's where it is white."""
-    from matcap.field.device import find_device
-    from matcap.synth.blend import blend_source
-    from matcap.synth.mask import read_mask
-    from matcap.synth.precision import choose
-
-    start, end = _loaded(request.material, request), _loaded(blend.material, request)
-    over = blend.over or request.whole
-    between = blend_source(
-        start, end, read_mask(blend.mask, over, request.period), request.seed, request.period,
-        find_device(request.device), request.read.generator,
-    )  # fmt: skip
-    choice = choose(between, request.precision)
-    mask_provenance = {"blend": [start.name, end.name], "mask_over": list(astuple(over))}
-    return choice.source, start.name, dict(start.provenance) | mask_provenance, choice
-
-
-def _loaded(material: Path | Material, request: SynthRequest) -> Material:
-    from matcap.field.material import Material
-
-    opened = Material.load(material) if isinstance(material, Path) else material
-    return opened.by(request.read.generator).varied(request.read.variety)
+    return source, name, provenance
 
 
 @dataclass(frozen=True)

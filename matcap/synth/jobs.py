@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from matcap.field.blocks import BlockPart
 from matcap.files.cluster import WorkerLost
-from matcap.synth.pictures import Rendered, encode
+from matcap.synth.pictures import texels_of
 from matcap.synth.plan import PlannedMapSet
 from matcap.synth.preview import lit_from_top
 
@@ -39,8 +39,8 @@ class Future(Protocol[T_co]):
 class BlockResult:
     """Result of a job."""
 
-    pictures: list[Rendered]
-    """A contribution to each picture of the map set."""
+    texels: NDArray[np.void]
+    """(rows, columns) texels of the part, in the files' precision."""
     lit: NDArray[np.float16] | None
     """(rows, columns, 3) radiance of the part under a light, if the preview shows it."""
 
@@ -85,17 +85,15 @@ class WorkerPool:
 
 
 def rendered(source: Source, job: Job) -> BlockResult:
-    """Compute the job's part of a block, encode it for each picture, and light what is shown.
+    """Compute the job's part of a block, and light what is shown.
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
     """
     part, mapset = job
     planes = source.planes(part.block, mapset.normal)[(..., *part.source)]
-    pictures = encode(planes, part, mapset.pictures, source.specular_channels)
-    return BlockResult(
-        pictures, lit_from_top(planes, mapset.normal) if mapset.shows(part) else None
-    )
+    texels = texels_of(planes, source.specular_channels)
+    return BlockResult(texels, lit_from_top(planes, mapset.normal) if mapset.shows(part) else None)
 
 
 @lru_cache(maxsize=2)

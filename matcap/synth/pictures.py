@@ -1,33 +1,34 @@
-"""Files of a map set, and the encoding of a block's maps as their tiles."""
+"""Files of a map set: tiled EXR, with mip levels on request, and 16-bit PNGs.
+
+Written by OpenImageIO in strips of rows, from the computed texels (assembly.py). Maps are half
+floats, heights 32-bit floats. A mip level is the box average of the next larger one; normals are
+averaged and normalised, and roughness does not take up the variance of the normals that is lost.
+PNGs hold the values of the EXR files.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import errno
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from functools import partial
 from itertools import accumulate
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.folder import coded, height_range
 from matcap.brdf.heights import check_heights
-from matcap.field.blocks import BlockPart
-from matcap.synth.exr_tiles import (
-    Area,
-    Channel,
-    Layout,
-    Tile,
-    encode_tile,
-    intersection,
-    relative,
-    stored,
-    tiles_over,
-)
+from matcap.files.exr import check_representable
+from matcap.files.rec709 import REC709
+from matcap.synth.assembly import Assembly, read_texels
 
-# Channel names of each map, in a file of its own and in one file of all maps. An F0 with a colour
-# has those of diffuse.
-_OWN = {"diffuse": "RGB", "specular": "Y", "roughness": "Y", "height": "Y", "normal": "RGB"}
-_JOINED = _OWN | {"height": "Z", "normal": "XYZ"}
-_COLOUR = ("specular", 3)
+_TILE = 64
+# (rows, width, channels) of a map.
+_Rows = NDArray[Any]
 
 
 def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
@@ -40,109 +41,173 @@ def kind_planes(specular: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-@dataclass(frozen=True)
-class PictureFile:
-    """A file of a map set."""
-
-    file: str
-    """File name."""
-    layout: Layout
-    planes: tuple[int, ...]
-    """For each channel of the layout, the index of the stored plane."""
-    kinds: tuple[str, ...]
-    """For each channel of the layout, the name of its map."""
-
-    def places(self, kind: str) -> list[int]:
-        """Indices of a map's channels in the layout, in the map's own order."""
-        own = [place for place, stored in enumerate(self.kinds) if stored == kind]
-        return sorted(own, key=lambda place: self.planes[place])
+def texel_type(specular: int) -> np.dtype[np.void]:
+    """Type of a texel of all maps, for a number of channels of F0."""
+    return np.dtype(
+        [
+            (kind, "<f4" if kind == "height" else "<f2", (len(planes),))
+            for kind, planes in kind_planes(specular).items()
+        ]
+    )
 
 
-@dataclass(frozen=True)
-class Fragment:
-    """The part of a tile that one block covers."""
-
-    tile: Tile
-    place: Area
-    """Rows and columns within the tile."""
-    planes: list[NDArray[np.generic]]
-    """Values of each channel."""
-
-
-@dataclass(frozen=True)
-class Rendered:
-    """One block's contribution to one picture: whole tiles, encoded, and fragments of others."""
-
-    tiles: list[tuple[Tile, bytes]]
-    fragments: list[Fragment]
-
-
-def pictures_of(
-    name: str, size: tuple[int, int], *, specular: int, single: bool, mipmap: bool, wrap: str
-) -> tuple[PictureFile, ...]:
-    """The files of a map set.
-
-    Args:
-        name: prefix of the file names; `{kind}` is replaced by the map's name.
-        size: (width, height) in texels.
-        specular: channels of F0.
-        single: all maps in one file.
-        mipmap, wrap: see Layout.
-    """
-    places: dict[str, list[tuple[str, int, str]]] = {}
-    for kind, planes in kind_planes(specular).items():
-        file = name.replace("{kind}", "maps" if single else kind) + ".exr"
-        channels = channels_of(kind, specular=specular, single=single)
-        for channel, plane in zip(channels, planes, strict=True):
-            places.setdefault(file, []).append((channel, plane, kind))
-    return tuple(
-        PictureFile(
-            file,
-            Layout(
-                *size, tuple(Channel(c, kind != "height") for c, _, kind in sorted(channels_at)),
-                mipmap, wrap,
-            ),
-            tuple(plane for _, plane, _ in sorted(channels_at)),
-            tuple(kind for _, _, kind in sorted(channels_at)),
-        )
-        for file, channels_at in places.items()
-    )  # fmt: skip
-
-
-def channels_of(kind: str, *, specular: int, single: bool) -> tuple[str, ...]:
-    """Names of a map's channels in its file, for F0 of `specular` channels."""
-    letters = (_JOINED if single else _OWN)["diffuse" if (kind, specular) == _COLOUR else kind]
-    return tuple(f"{kind}.{letter}" for letter in letters) if single else tuple(letters)
-
-
-def encode(
-    planes: NDArray[np.float32], part: BlockPart, pictures: Sequence[PictureFile], specular: int
-) -> list[Rendered]:
-    """Encode the whole tiles of a part of a block for each picture.
-
-    Args:
-        specular: channels of F0.
+def texels_of(planes: NDArray[np.float32], specular: int) -> NDArray[np.void]:
+    """(H, W) texels, in the files' precision, of planes (9 or 11, H, W).
 
     Raises:
         MatcapError: a value is not finite, or too large for half float.
     """
-    check_heights(planes[kind_planes(specular)["height"][0]], "the material")
-    return [_encode(picture, part, planes) for picture in pictures]
+    texels = np.empty(planes.shape[1:], texel_type(specular))
+    for kind, places in kind_planes(specular).items():
+        values = planes[list(places)]
+        check_representable(kind, values, half=kind != "height")
+        if kind == "height":
+            check_heights(values, "the material")
+        texels[kind] = np.moveaxis(values, 0, -1)
+    return texels
 
 
-def _encode(picture: PictureFile, part: BlockPart, planes: NDArray[np.float32]) -> Rendered:
-    layout = picture.layout
-    values = [
-        stored(channel, planes[plane], picture.file)
-        for channel, plane in zip(layout.channels, picture.planes, strict=True)
-    ]
-    tiles, fragments = [], []
-    for tile in tiles_over(part.target):
-        area = layout.area(tile)
-        inner = intersection(area, part.target)
-        cut = [plane[relative(inner, part.target)] for plane in values]
-        if inner == area:
-            tiles.append((tile, encode_tile(layout, tile, cut)))
-        else:
-            fragments.append(Fragment(tile, relative(inner, area), cut))
-    return Rendered(tiles, fragments)
+def write_map(path: Path, kind: str, texels: Assembly, wrap: str) -> None:
+    """Write the EXR file of a map.
+
+    Args:
+        wrap: OpenImageIO's wrap modes along x and y of a file with mip levels; "" for one without.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import OpenImageIO as oiio
+
+    width, height = texels.size
+    depth = texels.kind[kind].base
+    channels = texels.kind[kind].shape[0]
+
+    def whole(rows: slice) -> _Rows:
+        return texels.rows(rows)[kind]
+
+    read: Callable[[slice], _Rows] = whole
+    levels = max(width, height).bit_length() if wrap else 1
+    with ExitStack() as stack:
+        output: Any = oiio.ImageOutput.create(str(path))
+        for level in range(levels):
+            size = max(width >> level, 1), max(height >> level, 1)
+            spec = oiio.ImageSpec(*size, channels, "half" if depth.itemsize == 2 else "float")
+            spec.channelnames = tuple("RGB" if channels == 3 else "Y")
+            spec.tile_width = spec.tile_height = _TILE
+            spec.attribute("compression", "zip")
+            spec.attribute("DateTime", "")  # else the time of writing
+            spec.attribute("chromaticities", "float[8]", REC709)
+            if wrap:
+                spec.attribute("textureformat", "Plain Texture")
+                spec.attribute("wrapmodes", wrap)
+            if level:
+                read = _averaging(read, (width >> level - 1, height >> level - 1), size, kind)
+            _check(output, output.open(str(path), spec, "AppendMIPLevel" if level else "Create"))
+            kept = stack.enter_context(TemporaryFile(dir=path.parent))
+            for rows in strips(size[1]):
+                pixels = np.array(read(rows), depth, order="C")  # its strides are checked
+                area = (0, size[0], rows.start, rows.stop, 0, 1)
+                _check(output, output.write_tiles(*area, pixels))
+                if wrap:
+                    kept.write(pixels.tobytes())
+            kept.flush()
+            read = partial(read_texels, kept, np.dtype((depth, (channels,))), size[0])
+        _check(output, output.close())
+
+
+def _averaging(
+    larger: Callable[[slice], _Rows], above: tuple[int, int], size: tuple[int, int], kind: str
+) -> Callable[[slice], _Rows]:
+    """Rows of a level of this size (width, height), from those of the level `above`."""
+    wide, high = max(above[0], 1), max(above[1], 1)
+
+    def averaged(rows: slice) -> _Rows:
+        down, from_row = _weights(rows, size[1], high)
+        source = larger(from_row)
+        parts = []
+        for columns in strips(size[0]):
+            across, from_column = _weights(columns, size[0], wide)
+            planes = np.moveaxis(source[:, from_column], -1, 0)
+            shrunk = [down @ plane.astype(np.float32, order="C") @ across.T for plane in planes]
+            if kind == "normal":
+                length = np.sqrt(sum(np.square(one) for one in shrunk))
+                for one in shrunk:
+                    one /= np.maximum(length, 1e-6)
+            parts.append(np.stack(shrunk, axis=-1))
+        return np.concatenate(parts, axis=1)
+
+    return averaged
+
+
+def _weights(wanted: slice, size: int, larger: int) -> tuple[NDArray[np.float32], slice]:
+    """Box-filter weights along one axis.
+
+    Args:
+        wanted: texels of the smaller level.
+        size: texels of the smaller level along the axis.
+        larger: texels of the larger level along the axis.
+
+    Returns:
+        (wanted, source) weights, each row of sum 1, and the slice of source texels.
+    """
+    ratio = larger / size
+    edges = np.arange(wanted.start, wanted.stop + 1) * ratio
+    first, last = int(edges[0]), min(int(np.ceil(edges[-1])), larger)
+    texels = np.arange(first, last)
+    overlap = np.minimum(edges[1:, None], texels + 1) - np.maximum(edges[:-1, None], texels)
+    shares = np.clip(overlap, 0.0, None) / ratio
+    return (shares / shares.sum(axis=1, keepdims=True)).astype(np.float32), slice(first, last)
+
+
+def height_coding(files: Sequence[Path]) -> tuple[float, float]:
+    """(scale, midlevel) with height = (value - midlevel) scale and values from 0 to 1 over all."""
+    ends = [(rows.min(), rows.max()) for file in files for _, rows in _stored(file)]
+    return height_range(float(min(low for low, _ in ends)), float(max(high for _, high in ends)))
+
+
+def write_png(file: Path, kind: str, heights: tuple[float, float]) -> None:
+    """Write the PNG of a map beside its EXR file.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    import OpenImageIO as oiio
+
+    path = file.with_suffix(".png")
+    opened: Any = oiio.ImageInput.open(str(file))
+    source = opened.spec()
+    opened.close()
+    output: Any = oiio.ImageOutput.create(str(path))
+    spec = oiio.ImageSpec(source.width, source.height, source.nchannels, "uint16")
+    spec.attribute("oiio:ColorSpace", "sRGB" if kind == "diffuse" else "linear")
+    spec.attribute("png:compressionLevel", 3)
+    _check(output, output.open(str(path), spec))
+    for rows, pixels in _stored(file):
+        values = coded(kind, pixels, *heights)
+        whole = np.rint(np.clip(values, 0.0, 1.0) * 65535.0).astype(np.uint16)
+        _check(output, output.write_scanlines(rows.start, rows.stop, 0, whole))
+    _check(output, output.close())
+
+
+def strips(length: int) -> Iterator[slice]:
+    """Slices of a tile's side that cover a length."""
+    return (slice(at, min(at + _TILE, length)) for at in range(0, length, _TILE))
+
+
+def _stored(file: Path) -> Iterator[tuple[slice, NDArray[np.float32]]]:
+    """Strips of rows of an EXR file, each with its (rows, width, channels) values."""
+    import OpenImageIO as oiio
+
+    source: Any = oiio.ImageInput.open(str(file))
+    spec = source.spec()
+    for rows in strips(spec.height):
+        area = (0, spec.width, rows.start, rows.stop, 0, 1)
+        yield rows, source.read_tiles(0, 0, *area, 0, spec.nchannels, "float")
+    source.close()
+
+
+def _check(output: Any, done: bool) -> None:  # noqa: ANN401
+    """Raise OSError if a step of writing failed."""
+    if not done:
+        text = output.geterror()
+        raise OSError(errno.ENOSPC if "No space left" in text else errno.EIO, text)

@@ -1,10 +1,10 @@
-"""Output plan of a request: map sets, the pictures of each, and their JSON document."""
+"""Output plan of a request: map sets, the files of each, and their JSON document."""
 
 from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,6 @@ from matcap.field.plane import Rectangle
 from matcap.files.maker import MAKER_VERSION
 from matcap.files.names import plain_name
 from matcap.files.udim import check_grid, tile_number
-from matcap.synth.pictures import PictureFile, channels_of, pictures_of
 from matcap.synth.preview import Preview, preview_of
 
 if TYPE_CHECKING:
@@ -43,7 +42,8 @@ class PlannedMapSet:
     """A map set to write: the whole request, or one tile of a texture set."""
 
     area: Rectangle
-    pictures: tuple[PictureFile, ...]
+    files: Mapping[str, str]
+    """Names of the EXR files by map."""
     normal: NormalStyle
     preview: Preview | None
     """Preview to write, or None."""
@@ -72,10 +72,11 @@ def check_request(request: SynthRequest, name: str) -> None:
 
 
 def bytes_of(request: SynthRequest) -> int:
-    """Upper bound of the files' size in bytes."""
+    """Upper bound of the disk space that a run takes, in bytes."""
+    whole, area = (one.width * one.height for one in (request.whole, request.area))
     each = EXR_BYTES * (4 / 3 if request.mipmap else 1)
     each += PNG_BYTES if request.png else 0
-    return int(request.whole.width * request.whole.height * each) + _SPARE
+    return int(whole * each + area * EXR_BYTES) + _SPARE  # the texels of one map set (assembly.py)
 
 
 def key_of(request: SynthRequest, field: OpenedField) -> str:
@@ -90,7 +91,6 @@ def key_of(request: SynthRequest, field: OpenedField) -> str:
         field.info.name,
         request.png,
         request.normal,
-        request.single,
         request.mipmap,
         request.preview,
     )
@@ -101,7 +101,6 @@ def key_of(request: SynthRequest, field: OpenedField) -> str:
 def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]:
     """The map sets to write: left to right, the lowest row of a texture set first."""
     area, columns, rows = request.area, *(request.udim or (1, 1))
-    wrap, specular = _wrap(request, field.source), field.source.specular_channels
     preview = preview_of(request.whole, field.source.period) if request.preview else None
     sets = []
     for row in range(rows):
@@ -109,16 +108,9 @@ def mapsets_of(request: SynthRequest, field: OpenedField) -> list[PlannedMapSet]
             # A texture set's rows are counted upwards.
             x, y = area.x + column * area.width, area.y + (rows - 1 - row) * area.height
             label = "" if request.udim is None else f".{tile_number(column, row)}"
-            pictures = pictures_of(
-                f"{field.info.name}_{{kind}}{label}",
-                (area.width, area.height),
-                specular=specular,
-                single=request.single,
-                mipmap=request.mipmap,
-                wrap=wrap,
-            )
+            files = {kind: f"{field.info.name}_{kind}{label}.exr" for kind in MEANINGS}
             place = Rectangle(x, y, area.width, area.height)
-            sets.append(PlannedMapSet(place, pictures, request.normal, preview))
+            sets.append(PlannedMapSet(place, files, request.normal, preview))
     return sets
 
 
@@ -146,11 +138,8 @@ def document_of(
     if period is not None:
         document["period"] = list(period)
     for kind in MEANINGS:
-        file = f"{name}_{'maps' if request.single else kind}{label}.exr"
+        file = f"{name}_{kind}{label}.exr"
         document["maps"][kind] = {"file": file, "meaning": meaning_of(kind, specular)}
-        if request.single:
-            channels = channels_of(kind, specular=specular, single=True)
-            document["maps"][kind]["channels"] = list(channels)
         if request.png:
             png = f"{name}_{kind}{label}.png"
             document["maps"][kind] |= {"png": png, "png_encoding": PNG_ENCODINGS[kind]}
@@ -159,7 +148,7 @@ def document_of(
     return document
 
 
-def _wrap(request: SynthRequest, source: Source) -> str:
+def wrap_modes(request: SynthRequest, source: Source) -> str:
     """OpenImageIO's wrap modes along x and y, for mip-mapped files; "" for others."""
     if not request.mipmap:
         return ""

@@ -121,7 +121,7 @@ class PreviewPicture:
         # Of all half floats up to 1, which are the first in the order of their bits.
         known = np.arange(0x3C01, dtype=np.uint16).view(np.float16).astype(np.float32)
         codes = quantised(srgb_picture(known * gain), bits=8)[self._radiance.view(np.uint16)]
-        return png_bytes(_marked(codes, self._preview.repeats), "matcap synth")
+        return png_bytes(_marked(codes, self._preview.repeats))
 
 
 def _marked(pixels: NDArray[Any], repeats: tuple[bool, bool]) -> NDArray[Any]:

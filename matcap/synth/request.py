@@ -23,44 +23,20 @@ if TYPE_CHECKING:
     from matcap.field.device import DeviceName
     from matcap.field.material import Material
     from matcap.files.values import Size
-    from matcap.synth.precision import Precision
 
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
 
 
 @dataclass(frozen=True)
-class MaskedBlend:
-    """A second material, and the mask by which it replaces the first; see synth/blend.py."""
-
-    material: Material | Path
-    """The second material, or its file."""
-    mask: Path
-    """Grey image: black shows the first material, white the second."""
-    over: Rectangle | None = None
-    """Rectangle of the field that the mask is stretched over; None is the whole output."""
-
-
-@dataclass(frozen=True)
 class SynthArea:
-    """Options of the rectangle and of the blend."""
+    """Options of the rectangle."""
 
     size: Size | None = setting(None, metavar="WxH", parse=values.size, otherwise="1024x1024")
     """Size in texels: 4096x256, or 2K, 4K, 8K; limited by the disk only."""
     region: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
     """Rectangle of the endless field (y downwards), instead of --size."""
-    blend: Path | None = setting(None, metavar="MATERIAL")
-    """Second material, which is shown where --mask is white."""
-    mask: Path | None = setting(None)
-    """Grey image for --blend, stretched over the whole output."""
-    mask_over: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """Rectangle of the field to stretch the mask over instead."""
 
     def __post_init__(self) -> None:
-        for name, given in (("--mask", self.mask), ("--mask-over", self.mask_over)):
-            if self.blend is None and given is not None:
-                raise UsageError.at(name, "there is nothing to blend with", "give --blend")
-        if self.blend is not None and self.mask is None:
-            raise UsageError.at("--blend", "there is no mask", "give a picture with --mask")
         if self.size is not None and self.region is not None:
             raise UsageError.at("--region", "a rectangle already has a size", "leave --size out")
 
@@ -69,13 +45,6 @@ class SynthArea:
         """The rectangle in texels of the field."""
         sides = self.size or values.DEFAULT_SIZE
         return self.region or Rectangle(0, 0, *sides)
-
-    @property
-    def masked_blend(self) -> MaskedBlend | None:
-        """The blend with the second material, or None."""
-        if self.blend is None or self.mask is None:
-            return None
-        return MaskedBlend(self.blend, self.mask, self.mask_over)
 
 
 @dataclass(frozen=True)
@@ -101,8 +70,6 @@ class SynthRequest(CheckedSettings):
     udim: tuple[int, int] | None = setting(None, metavar="CxR", parse=values.size)
     """A texture set of C columns (at most 10) and R rows (at most 900), each tile of the given
     size."""
-    single: bool = setting(False)
-    """Write all maps into one EXR file."""
     mipmap: bool = setting(False, option="mip")
     """Mip-mapped EXR files."""
     png: bool = setting(False)
@@ -112,10 +79,6 @@ class SynthRequest(CheckedSettings):
     maps repeat."""
     normal: NormalStyle = setting("gl", words=("gl", "dx"))
     """Normals with +Y up (gl) or down (dx)."""
-    blend: MaskedBlend | None = None
-    """Second material, blended in by a mask."""
-    precision: Precision = setting("fp32", words=("fp32", "bf16", "auto"))
-    """Precision of the network. auto: the fastest that changes no map by half an 8-bit step."""
     device: DeviceName = setting("auto", words=("auto", "cpu", "cuda"))
     """Device that runs the network. auto: CUDA where PyTorch sees such a device."""
 

@@ -1,29 +1,31 @@
 """Writes a rectangle of any size to files, in memory that does not grow with its size.
 
-    blocks -> tiles (in the workers) -> one file a map, tile by tile -> mip levels, PNGs, preview
-           -> published together
+    blocks -> texels (in the workers) -> a file of plain numbers -> EXR files with mip levels, PNGs,
+           preview -> published together
 
-The request alone determines the order of the tiles. An interrupted run is resumed after its last
-whole tile, and its files have the same bytes as those of an uninterrupted one.
+An interrupted run is resumed with the blocks that it had, and its files have the same bytes as
+those of an uninterrupted one.
 
-Read next: plan.py, workers.py, exr_tiles.py.
+Read next: plan.py, workers.py, assembly.py, pictures.py.
 """
 
 from __future__ import annotations
 
 import json
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.folder import preview_name, refuse_to_replace
-from matcap.files.mark import check_replaceable
-from matcap.files.staging import check_writable
-from matcap.synth.assembly import Assembly, assembly
+from matcap.brdf.folder import preview_name
+from matcap.files.output import check_output, check_writable
+from matcap.synth.assembly import Assembly
 from matcap.synth.jobs import BlockResult, Job, WorkerPool
-from matcap.synth.levels import write_levels
+from matcap.synth.pictures import height_coding, texel_type, write_map, write_png
 from matcap.synth.plan import (
     PlannedMapSet,
     bytes_of,
@@ -31,10 +33,10 @@ from matcap.synth.plan import (
     document_of,
     key_of,
     mapsets_of,
+    wrap_modes,
 )
 from matcap.synth.preview import PreviewPicture
 from matcap.synth.request import SynthProgress, SynthRequest, Work
-from matcap.synth.strips import height_coding, write_pngs
 from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
 from matcap.synth.workers import worker_pool
 
@@ -50,7 +52,7 @@ def write_field(
     """Write a rectangle of a field as a map set or a texture set; return the path of its JSON file.
 
     All files appear together, or none. If the run is interrupted, or the disk is full, or a worker
-    is killed, the finished tiles stay in a hidden folder for `work.resume`.
+    is killed, the finished blocks stay in a hidden folder for `work.resume`.
 
     Raises:
         UsageError: an empty or too large rectangle, a bad name, a texture set out of range, or a
@@ -64,38 +66,37 @@ def write_field(
     work = work or Work()
     work.check(source.device_type)
     folder = Path(folder)
-    if not work.overwrite:
-        document = document_of(request, field, (1.0, 0.5) if request.png else None)
-        refuse_to_replace(folder, document, files_of(folder, name))
     outputs = [folder / file for file in files_of(folder, name)]
-    check_replaceable(outputs, "matcap synth", inputs=work.inputs, overwrite=True)
+    check_output(outputs, inputs=work.inputs, overwrite=work.overwrite)
     left = unfinished_bytes(folder, name) if work.resume else 0
     check_writable(folder, max(bytes_of(request) - left, 0), files_of(folder, name))
     mapsets = mapsets_of(request, field)
+    kind, wrap = texel_type(source.specular_channels), wrap_modes(request, source)
+    blocks = sum(1 for mapset in mapsets for _ in mapset.parts(source))
     with (
         unfinished(folder, name, key_of(request, field), resume=work.resume) as stage,
-        ExitStack() as stack,
+        worker_pool(source, work.workers, blocks, work.scheduler) as pool,
+        ThreadPoolExecutor(work.workers) as writers,
     ):
         clock = _Clock(request.whole.width * request.whole.height, work.progress)
-        blocks = sum(1 for mapset in mapsets for _ in mapset.parts(source))
-        pool = stack.enter_context(worker_pool(source, work.workers, blocks, work.scheduler))
-        sets = []
         preview = mapsets[0].preview
         shown = None if preview is None else PreviewPicture(preview)
-        for mapset in mapsets:
-            files = stack.enter_context(assembly(stage, mapset.pictures))
-            for part, result in _missing(source, mapset, files, pool, clock):
-                files.add(result.pictures)
-                if shown is not None and result.lit is not None:
-                    shown.add(mapset.area, part, result.lit)
-            for picture, file in zip(mapset.pictures, files.files, strict=True):
-                write_levels(picture, file, work.workers)
-                file.finish()
-            sets.append(files)
-        heights = height_coding(sets) if request.png else None
-        if heights is not None:
-            for files in sets:
-                write_pngs(stage, files, heights)
+        for number, mapset in enumerate(mapsets):
+            size = (mapset.area.width, mapset.area.height)
+            with closing(Assembly(stage / f".{number}.texels", size, kind)) as texels:
+                for index, part, result in _missing(source, mapset, texels, pool, clock):
+                    texels.add(index, part, result.texels)
+                    if shown is not None and result.lit is not None:
+                        shown.add(mapset.area, part, result.lit)
+                if not texels.written:
+                    write = partial(_write_map, stage, texels, wrap)
+                    list(writers.map(write, mapset.files.items()))
+                texels.finish()
+        heights = None
+        if request.png:
+            heights = height_coding([stage / mapset.files["height"] for mapset in mapsets])
+            for map_kind, file in (one for mapset in mapsets for one in mapset.files.items()):
+                write_png(stage / file, map_kind, heights)
         document = document_of(request, field, heights)
         if shown is not None:
             (stage / preview_name(name)).write_bytes(shown.encoded())
@@ -104,20 +105,27 @@ def write_field(
     return folder / f"{name}.json"
 
 
+def _write_map(stage: Path, texels: Assembly, wrap: str, named: tuple[str, str]) -> None:
+    kind, file = named
+    write_map(stage / file, kind, texels, wrap)
+
+
 def _missing(
-    source: Source, mapset: PlannedMapSet, files: Assembly, pool: WorkerPool, clock: _Clock
-) -> Iterator[tuple[BlockPart, BlockResult]]:
+    source: Source, mapset: PlannedMapSet, texels: Assembly, pool: WorkerPool, clock: _Clock
+) -> Iterator[tuple[int, BlockPart, BlockResult]]:
     """Compute the parts of a map set that a resumed run lacks, and those that its preview shows."""
+    indices = deque[int]()
 
     def missing() -> Iterator[Job]:
-        for part in mapset.parts(source):
-            if files.lacks(part) or mapset.shows(part):
+        for index, part in enumerate(mapset.parts(source)):
+            if mapset.shows(part) or not texels.has(index, part):
+                indices.append(index)
                 yield part, mapset
             else:
                 clock.count(skipped=part.texels)
 
     for (part, _), result in pool.run(missing()):
-        yield part, result
+        yield indices.popleft(), part, result
         clock.count(part.texels)
 
 

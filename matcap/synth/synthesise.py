@@ -6,36 +6,24 @@ importing it takes longer than synthesising a map.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from matcap.synth.fields import open_field
 from matcap.synth.request import SynthRequest, Work
 from matcap.synth.stream import write_field
 
-if TYPE_CHECKING:
-    from matcap.synth.precision import ChosenPrecision
 
-
-def synthesise(
-    request: SynthRequest,
-    folder: str | Path,
-    work: Work | None = None,
-    on_precision: Callable[[ChosenPrecision], None] = lambda choice: None,
-) -> Path:
+def synthesise(request: SynthRequest, folder: str | Path, work: Work | None = None) -> Path:
     """Write a request's map set into a folder, all files or none; return the path of its JSON file.
 
     Args:
         folder: created if missing.
         work: workers, progress callback and overwriting.
-        on_precision: called with a network's precision once it is chosen.
 
     Raises:
         UsageError: a size or period out of range, no CUDA device.
-        MatcapError: a mask that cannot be read, a precision that the device does not support, and
-            what write_field raises.
+        MatcapError: what open_field and write_field raise.
 
     Example:
         synthesise(SynthRequest(material, Rectangle(0, 0, 4096, 256), seed=7), "more")
@@ -45,6 +33,4 @@ def synthesise(
         # A cluster's machines may have no CUDA device, and all blocks must come from one kind.
         request = replace(request, device="cpu")
     request, opened = open_field(request)
-    if opened.choice is not None:
-        on_precision(opened.choice)
     return write_field(request, opened, folder, work)

@@ -1,11 +1,6 @@
 """Staging folder of a run that can be resumed.
 
-Files are written to a hidden folder and published together (files/publish.py). Unlike with
-files/staging.py, an interrupted run's folder is kept.
-
-After a power cut, written data may be missing. The zlib checksum of a compressed tile shows that;
-the run is resumed before the first damaged tile (exr_tiles.py). Tiles that do not compress have no
-checksum.
+Unlike those of other outputs (files/output.py), an interrupted run's hidden folder is kept.
 """
 
 from __future__ import annotations
@@ -21,8 +16,7 @@ from matcap.brdf.folder import MEANINGS, mapset_files, preview_name
 from matcap.errors import MatcapError
 from matcap.files.cluster import WorkerLost
 from matcap.files.names import StagedFolder, plain_name
-from matcap.files.publish import publish, recover
-from matcap.files.staging import culprit, new_folder, write_error
+from matcap.files.output import Output
 
 _KEY, _LOCK = ".request", ".lock"
 
@@ -43,36 +37,31 @@ def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[S
         MatcapError: another run is writing these maps, the interrupted run had another key, the
             disk is full, or the folder cannot be written.
     """
-    stage = _stage(folder, name)
-    keep = False
-    try:
-        with new_folder(folder):
-            recover(folder)
-            stage.mkdir(exist_ok=True)
-            with _locked(stage):
-                keep = True
-                _open(stage, key, resume=resume)
-                try:
-                    yield stage
-                    _publish(stage, folder, name)
-                    keep = False
-                except Exception as error:
-                    keep = isinstance(error, (OSError, WorkerLost))
-                    raise
-                finally:
-                    if not keep:
-                        shutil.rmtree(stage, ignore_errors=True)
-    except OSError as error:
-        raise write_error(culprit(folder, error), error) from error
+    output = Output(folder, files_of(folder, name))
+    with output.stage(_stage_name(name)) as stage, _locked(stage):
+        keep = True
+        try:
+            _open(stage, key, resume=resume)
+            yield stage
+            names = [file.name for file in stage.iterdir() if not file.name.startswith(".")]
+            output.publish(stage, names)
+            keep = False
+        except Exception as error:
+            keep = isinstance(error, (OSError, WorkerLost))
+            raise
+        finally:
+            if not keep:
+                shutil.rmtree(stage, ignore_errors=True)
 
 
 def unfinished_bytes(folder: Path, name: str) -> int:
     """Bytes that an interrupted run left in its staging folder."""
-    return sum(file.stat().st_size for file in _stage(folder, name).glob("*") if file.is_file())
+    stage = folder / _stage_name(name)
+    return sum(file.stat().st_size for file in stage.glob("*") if file.is_file())
 
 
-def _stage(folder: Path, name: str) -> StagedFolder:
-    return StagedFolder(folder / f".{plain_name(name)}.matcap-part")
+def _stage_name(name: str) -> str:
+    return f".{plain_name(name)}.matcap-part"
 
 
 @contextmanager
@@ -116,16 +105,9 @@ def _open(stage: Path, key: str, *, resume: bool) -> None:
         file.write_text(key)
 
 
-def _publish(stage: Path, folder: Path, name: str) -> None:
-    """Publish the staged files; older files of the map set that are not replaced are removed."""
-    fresh = [file.name for file in stage.iterdir() if file.name not in (_KEY, _LOCK)]
-    publish(stage, fresh, folder, replacing=files_of(folder, name))
-
-
 def files_of(folder: Path, name: str) -> list[str]:
     """Possible file names of a map set or texture set of this name; UDIM tiles by what exists."""
-    kinds = (*MEANINGS, "maps")
     tiles = [
-        file.name for kind in kinds for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
+        file.name for kind in MEANINGS for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
     ]
-    return [*mapset_files(name), preview_name(name), f"{name}_maps.exr", *tiles]
+    return [*mapset_files(name), preview_name(name), *tiles]

@@ -29,14 +29,12 @@ from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.view.library import Library
 
 SCRIPTS = (
     "adjust.js", "address.js", "surroundings.js", "rooms.js", "pages.js", "shader.js", "tile.js",
     "source.js", "controls.js", "theme.js", "view.js", "panel.js", "gestures.js", "reading.js",
     "bring.js", "main.js",
 )  # fmt: skip
-LIBRARY_SCRIPT = "library.js"
 STYLE = "page.css"
 DEFAULT_TILE = 512  # texels: some 3 MB
 _PIECE_SIDES = (512, 256)  # texels along the exemplar's longer side: the first that fits is used
@@ -53,23 +51,13 @@ def page_file(name: str) -> str:
     return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def served_page(
-    facts: ViewFacts, references: References, adjust: Adjustments = NONE, *, library: bool = False
-) -> str:
-    """The document that fetches scripts and pages from its server.
-
-    Args:
-        library: whether the page links to a library's.
-    """
-    from matcap.export.targets import DOCUMENTS, PRESETS
-
+def served_page(facts: ViewFacts, references: References, adjust: Adjustments = NONE) -> str:
+    """The document that fetches scripts and pages from its server."""
     head = f'<link rel="stylesheet" href="{STYLE}">'
     scripts = f'<script type="module" src="{SCRIPTS[-1]}"></script>'
     about = _about(facts, adjust, references) | {
         "photo": references.photo and "photo",
         "doubt": references.doubt and "doubt",
-        "library": library,
-        "targets": list(dict.fromkeys((*DOCUMENTS, *PRESETS))),
     }
     return _document(facts.name, head, scripts, about)
 
@@ -95,7 +83,6 @@ def sealed_page(
     maps = _tile(subject, size)
     facts = subject.facts
     head = (
-        f'<meta name="generator" content="{MARK}">'
         f'<meta http-equiv="Content-Security-Policy" content="{_SEALED}">'
         f"<style>\n{page_file(STYLE)}</style>"
     )
@@ -124,9 +111,6 @@ def sealed_page(
     return text
 
 
-MARK = "matcap view"  # the document's generator element
-
-
 def write_page(document: str, path: Path) -> None:
     """Write a document atomically.
 
@@ -134,10 +118,10 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.files.staging import staged_file
+    from matcap.files.output import Output
 
     check_page_path(path)
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         file.write_text(document, encoding="utf-8")
 
 
@@ -166,7 +150,7 @@ def _tile(subject: Viewable, size: int) -> MapSet:
 
 
 def _about(facts: ViewFacts, adjust: Adjustments, references: References) -> dict[str, Any]:
-    """The element `about`, of a served document without pictures and targets."""
+    """The element `about`, of a served document without pictures."""
     form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
     return asdict(facts) | {
         "page": form,
@@ -174,34 +158,14 @@ def _about(facts: ViewFacts, adjust: Adjustments, references: References) -> dic
         "verdict": references.verdict,
         **dict.fromkeys(("photo", "doubt", "tile", "enclosed")),
         "piece_level": 0,
-        "library": False,
-        "targets": [],
     }
 
 
-def library_page(name: str, library: Library) -> str:
-    """The page of a folder's materials."""
-    from matcap.view.library import LEVEL, SIDE
-
-    about = {
-        "name": name,
-        "shelf": library.shelf(),
-        "adjust": library.adjust.text,
-        "level": LEVEL,
-        "page": {"width": SIDE, "height": SIDE, "apron": APRON, "mips": MIPS},
-    }
-    head = f'<link rel="stylesheet" href="{STYLE}">'
-    scripts = f'<script type="module" src="{LIBRARY_SCRIPT}"></script>'
-    return _document(name, head, scripts, about, "library.html")
-
-
-def _document(
-    title: str, head: str, scripts: str, about: dict[str, Any], form: str = "page.html"
-) -> str:
+def _document(title: str, head: str, scripts: str, about: dict[str, Any]) -> str:
     # Only '<' could end the script element.
     data = json.dumps(about, allow_nan=False).replace("<", "\\u003c")
     parts = {"title": escape(title), "head": head, "about": data, "scripts": scripts}
-    text = page_file(form)
+    text = page_file("page.html")
     for name, value in parts.items():
         before, mark, after = text.partition("{{" + name + "}}")
         assert mark, name

@@ -15,23 +15,13 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
-from matcap.view.document import (
-    LIBRARY_SCRIPT,
-    SCRIPTS,
-    STYLE,
-    library_page,
-    page_file,
-    served_page,
-)
-from matcap.view.exporting import exported, seed_and_share
-from matcap.view.library import Library, numbers
+from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
 from matcap.view.pages import Page, Pages, Place
 from matcap.view.references import References
 from matcap.view.subject import Viewable
@@ -40,7 +30,7 @@ if TYPE_CHECKING:
     from starlette.applications import Starlette
     from starlette.requests import Request
     from starlette.responses import Response
-    from starlette.routing import BaseRoute, Router
+    from starlette.routing import BaseRoute
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 
@@ -98,56 +88,6 @@ def make_app(
     return _guarded(routes, address)
 
 
-def make_library(library: Library, name: str, address: Address, pages: PagesOf) -> Starlette:
-    """The server's application for a folder of materials.
-
-    Args:
-        address: whose token and host requests must have.
-        pages: returns the pages of a subject.
-    """
-    from starlette.responses import HTMLResponse, PlainTextResponse
-    from starlette.routing import Mount, Route, Router
-
-    text = library_page(name, library)
-    opened: dict[str, Router] = {}
-
-    async def whole(_: Request) -> Response:
-        return HTMLResponse(text)
-
-    async def swatch(request: Request) -> Response:
-        wanted = numbers(request.query_params.get("index", ""), len(library.files))
-        if wanted is None:
-            return PlainTextResponse("There is no such material.", 404)
-        return _page_answer(await asyncio.to_thread(library.swatch, wanted[0]))
-
-    def open_one(first: int, second: int | None) -> Router:
-        subject = library.subject(first, second)
-        references = library.references(first)
-        return Router(
-            _subject_routes(subject, pages(subject), references, library.adjust, library=True)
-        )
-
-    async def material(scope: Scope, receive: Receive, send: Send) -> None:
-        key, _, rest = scope["path"].removeprefix("/m/").partition("/")
-        wanted = numbers(key, len(library.files))
-        answer: ASGIApp
-        if wanted is None:
-            answer = PlainTextResponse("There is no such material.", 404)
-        else:
-            if key not in opened:
-                opened[key] = await asyncio.to_thread(open_one, *wanted)
-            answer = opened[key]
-        await answer({**scope, "path": f"/{rest}", "root_path": ""}, receive, send)
-
-    routes = [
-        Route("/", whole),
-        Route("/swatch", swatch),
-        Route("/{name}", _parts((*SCRIPTS, LIBRARY_SCRIPT))),
-        Mount("/m", app=material),
-    ]
-    return _guarded(routes, address)
-
-
 def _guarded(routes: Sequence[BaseRoute], address: Address) -> Starlette:
     """The application of routes, behind the filter; a MatcapError is answered by its sentence."""
     from starlette.applications import Starlette
@@ -182,13 +122,11 @@ def _subject_routes(
     pages: Pages,
     references: References,
     adjust: Adjustments,
-    *,
-    library: bool = False,
 ) -> list[BaseRoute]:
     from starlette.responses import HTMLResponse, PlainTextResponse, Response
     from starlette.routing import Route
 
-    page = served_page(subject.facts, references, adjust, library=library)
+    page = served_page(subject.facts, references, adjust)
     pictures = {"photo": references.photo, "doubt": references.doubt}
 
     async def whole(_: Request) -> Response:
@@ -202,12 +140,6 @@ def _subject_routes(
 
     async def alive(_: Request) -> Response:
         return Response(status_code=204)
-
-    async def zipped(request: Request) -> Response:
-        target, data = await asyncio.to_thread(exported, subject, request.query_params)
-        name = f"{quote(subject.facts.name, safe='')}_{target}.zip"
-        headers = {"Content-Disposition": f"attachment; filename*=UTF-8''{name}"}
-        return Response(data, media_type="application/zip", headers=headers)
 
     async def surroundings(request: Request) -> Response:
         parts, size = [], 0
@@ -232,7 +164,6 @@ def _subject_routes(
         Route("/", whole),
         *(Route(f"/{name}", picture) for name in pictures),
         Route("/alive", alive),
-        Route("/export", zipped),
         Route("/page", piece),
         Route("/surroundings", surroundings, methods=["POST"]),
         Route("/{name}", _parts(SCRIPTS)),
@@ -270,13 +201,11 @@ def place_of(values: Mapping[str, str]) -> Place:
         UsageError: a parameter is missing or invalid.
     """
     try:
-        return Place(
-            int(values["level"]),
-            int(values["column"]),
-            int(values["row"]),
-            *seed_and_share(values),
-            values.get("piece", "0") == "1",
-        )
+        level, column, row = (int(values[name]) for name in ("level", "column", "row"))
+        seed, share = int(values.get("seed", "0")), float(values.get("share", "0"))
+        if not 0.0 <= share <= 1.0:
+            raise UsageError("the share is not between 0 and 1")
+        return Place(level, column, row, seed, share, values.get("piece", "0") == "1")
     except (KeyError, ValueError) as error:
         raise UsageError(
             "this does not name a page",

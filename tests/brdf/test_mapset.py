@@ -294,3 +294,19 @@ def test_the_room_asked_for_is_enough(tmp_path, maps):
     write_mapset(noise, tmp_path, INFO, png=True)
     taken = sum(f.stat().st_size for f in tmp_path.iterdir())
     assert taken < mapset_bytes(200, 200, png=True) < taken + 2_000_000
+
+
+def test_a_set_with_all_maps_in_one_file_is_read(tmp_path, maps):
+    """Map sets of an earlier version may be such (synth --single)."""
+    written = write_mapset(maps, tmp_path, INFO)
+    before, document = read_mapset(tmp_path)
+    channels = {}
+    for kind, about in document["maps"].items():
+        named = OpenEXR.File(str(tmp_path / about["file"]), separate_channels=True).channels()
+        own = [letter for letter in "RGBY" if letter in named]
+        channels |= {f"{kind}.{letter}": named[letter].pixels for letter in own}
+        about |= {"file": "leather_maps.exr", "channels": [f"{kind}.{letter}" for letter in own]}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "leather_maps.exr"))
+    written.write_text(json.dumps(document))
+    assert torch.equal(read_mapset(tmp_path)[0].stacked(), before.stacked())

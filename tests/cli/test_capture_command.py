@@ -82,7 +82,8 @@ def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
     assert said.code == 0
     assert "failed: the photograph's middle is 1.0 times as bright as its border" in said.err
     assert "error" not in said.err
-    assert matcap("capture", photo, "-o", out, "--size", 16, "--strict").code == 3
+    again = ("--size", 16, "--strict", "--overwrite")
+    assert matcap("capture", photo, "-o", out, *again).code == 3
 
 
 def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
@@ -216,45 +217,16 @@ def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
     assert matcap("capture", photo, "-o", out, "--size", 40, "--tile", "--overwrite").code == 2
 
 
-@pytest.mark.parametrize(
-    ("again", "message"),
-    [
-        (("--preset", "draft"), "a longer one, of preset standard"),
-        (("--generator", "decoder"), "generator example"),
-        (("--seed", 1), "seed 0"),
-        (("--size", 32), "with maps of 16x16"),
-        (("--fov", 50), "fov None"),
-        ((), "with PNGs"),
-    ],
-)
-def test_an_earlier_capture_is_not_replaced_by_a_lesser_or_another_one(
-    matcap, pipeline, photo, out, again, message
-):
-    first = ("--size", 16, "--png") if message == "with PNGs" else ("--size", 16)
-    assert matcap("capture", photo, "-o", out, *first).code == 0
-    before = (out / "leather" / "report.json").read_bytes()
-    again = again if "--size" in again else ("--size", 16, *again)
-    said = matcap("capture", photo, "-o", out, *again)
-    assert said.code == 3
-    assert "the folder has an earlier capture" in said.err and message in said.err
-    assert "--overwrite" in said.err
-    assert (out / "leather" / "report.json").read_bytes() == before
-    assert matcap("capture", photo, "-o", out, *again, "--overwrite").code == 0
-
-
-def test_the_same_capture_or_a_longer_one_comes_in_its_place(matcap, pipeline, photo, out):
-    for more in (("--preset", "draft"), ("--preset", "draft"), ()):
-        assert matcap("capture", photo, "-o", out, "--size", 16, *more).code == 0
-
-
-def test_another_photograph_of_the_same_stem_does_not_replace_the_first(
-    matcap, pipeline, photo, out
-):
-    other = photo.with_suffix(".jpg")
-    other.write_text("another photograph")
+def test_an_earlier_capture_is_replaced_with_overwrite_alone(matcap, pipeline, photo, out):
     assert matcap("capture", photo, "-o", out, "--size", 16).code == 0
-    said = matcap("capture", other, "-o", out, "--size", 16)
-    assert said.code == 3 and "the folder has an earlier capture (of leather.dng)" in said.err
+    before = (out / "leather" / "report.json").read_bytes()
+    for again in ((), ("--seed", 1)):
+        said = matcap("capture", photo, "-o", out, "--size", 16, *again)
+        assert said.code == 3
+        assert "this exists already" in said.err and "--overwrite" in said.err
+        assert (out / "leather" / "report.json").read_bytes() == before
+        assert matcap("capture", photo, "-o", out, "--size", 16, *again, "--overwrite").code == 0
+        before = (out / "leather" / "report.json").read_bytes()
 
 
 def test_photographs_of_one_sample_make_one_material(matcap, pipeline, photo, out):

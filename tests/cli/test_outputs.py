@@ -1,4 +1,4 @@
-"""An output replaces what the same command wrote, or with --overwrite; never what it reads."""
+"""Commands replace files with --overwrite alone, and never what they read."""
 
 import json
 import shutil
@@ -11,7 +11,6 @@ from random_maps import random_maps
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.export.targets import TARGETS
-from matcap.files.mark import mark_of
 
 MINE = b"what somebody made"
 
@@ -36,12 +35,6 @@ def place(made, tmp_path, monkeypatch):
     return tmp_path
 
 
-PICTURES = {
-    "relight": ("relight", "set", "--size", "32", "-q"),
-    "sample": ("sample", "-n", "1", "-q"),
-}
-
-
 def everything(folder):
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -50,32 +43,41 @@ def everything(folder):
     }
 
 
-@pytest.mark.parametrize("command", ["relight", "sample"])
-def test_a_picture_of_somebody_else_stays_unless_overwritten(matcap, place, command):
-    for other in ("photo.png", "notes.png"):
-        before = everything(place)
-        said = matcap(*PICTURES[command], "-o", other)
-        assert said.code == 3 and f"which matcap {command} has not written" in said.err
-        assert everything(place) == before
-        assert matcap(*PICTURES[command], "-o", other, "--overwrite").code == 0
-        assert mark_of(place / other) == f"matcap {command}"
-        assert matcap(*PICTURES[command], "-o", other).code == 0
+WRITERS = {
+    "relight": (("relight", "set", "--size", "32"), "relit.png"),
+    "frames": (("relight", "set", "--size", "32", "--animate", "light-orbit", "--frames", "2"),
+               "made_0001.exr"),
+    "sample": (("sample", "-n", "1"), "sampled.png"),
+    "view": (("view", "set"), "index.html"),
+    "blend": (("blend", "a.matcap", "b.matcap", "-t", "0.5"), "a_b_0.500.matcap"),
+    "synth": (("synth", "a.matcap", "--size", "16", "-j", "1"), "a_height.exr"),
+    **{target: (("export", "set", "--to", target), None) for target in TARGETS},
+}  # fmt: skip
 
 
-def test_what_one_command_drew_another_does_not_replace(matcap, place):
-    assert matcap(*PICTURES["relight"], "-o", "drawn.png").code == 0
-    assert matcap(*PICTURES["relight"], "-o", "drawn.png").code == 0
-    said = matcap(*PICTURES["sample"], "-o", "drawn.png")
-    assert said.code == 3 and "which matcap sample has not written" in said.err
+@pytest.mark.parametrize("writer", WRITERS)
+def test_existing_files_are_replaced_with_overwrite_alone(matcap, place, writer):
+    words, file = WRITERS[writer]
+    if file is None:
+        assert matcap(*words, "-o", "first", "-q").code == 0
+        file = min(one.name for one in (place / "first").iterdir() if one.suffix != ".json")
+    out = place / "out"
+    out.mkdir()
+    (out / file).write_bytes(MINE)
+    target = {"relight": out / file, "frames": out / "made.exr", "sample": out / file}
+    option = "--html" if writer == "view" else "-o"
+    words = (*words, option, out / file if writer == "view" else target.get(writer, out), "-q")
+    said = matcap(*words)
+    assert said.code == 3 and "this exists already" in said.err and "--overwrite" in said.err
+    assert everything(out) == {file: MINE}
+    assert matcap(*words, "--overwrite").code == 0
+    assert (out / file).read_bytes() != MINE
 
 
-@pytest.mark.parametrize("suffix", ["png", "exr", "gif", "mp4", "frames.exr"])
-def test_every_format_tells_who_wrote_it(matcap, place, suffix):
-    moving = ("--animate", "light-orbit", "--frames", "2") * (suffix not in ("png", "exr"))
+def test_a_picture_in_the_folder_of_its_maps_may_be_drawn_again(matcap, place):
     for _ in range(2):
-        assert matcap(*PICTURES["relight"], *moving, "-o", f"made.{suffix}").code == 0
-    file = "made.frames_0001.exr" if "frames" in suffix else f"made.{suffix}"
-    assert mark_of(place / file) == "matcap relight"
+        words = ("relight", "set", "--size", "32", "-o", "set/relit.exr", "--overwrite")
+        assert matcap(*words, "-q").code == 0
 
 
 @pytest.mark.parametrize(
@@ -109,58 +111,6 @@ def test_suffixes_are_checked_everywhere(matcap, place, words, said):
     found = matcap(*words, "--overwrite")
     assert found.code == 2 and said in found.err
     assert everything(place) == before
-
-
-def test_a_page_replaces_a_page_of_its_own_alone(matcap, place):
-    (place / "index.html").write_bytes(MINE)
-    words = ("view", "set", "--html", "index.html", "-q")
-    said = matcap(*words)
-    assert said.code == 3 and "which matcap view has not written" in said.err
-    assert (place / "index.html").read_bytes() == MINE
-    assert matcap(*words, "--overwrite").code == matcap(*words).code == 0
-
-
-def test_blends_replace_blends_alone(matcap, place):
-    words = ("blend", "a.matcap", "b.matcap", "-t", "0.5", "-o", ".", "-q")
-    assert matcap(*words).code == matcap(*words).code == 0
-    shutil.copy(place / "a.matcap", place / "a_b_0.500.matcap")
-    said = matcap(*words)
-    assert said.code == 3 and "which matcap blend has not written" in said.err
-
-
-@pytest.mark.parametrize("target", TARGETS)
-def test_an_export_replaces_no_file_of_somebody_else(matcap, place, target):
-    words = ("export", "set", "--to", target, "-o", "out", "-q")
-    assert matcap(*words).code == 0
-    files = [file for file in (place / "out").iterdir() if file.suffix != ".json"]
-    shutil.rmtree(place / "out")
-    (place / "out").mkdir()
-    files[0].write_bytes(MINE)
-    said = matcap(*words)
-    assert said.code == 3 and "which matcap export has not written" in said.err
-    assert [file.read_bytes() for file in (place / "out").iterdir()] == [MINE]
-    if target == "raw":
-        assert matcap(*words, "--overwrite").code == 0
-        assert files[0].read_bytes() != MINE
-
-
-def test_a_map_set_replaces_no_file_of_somebody_else(matcap, place):
-    (place / "more").mkdir()
-    (place / "more" / "a_height.exr").write_bytes(MINE)
-    words = ("synth", "a.matcap", "--size", "16", "-j", "1", "-o", "more", "-q")
-    said = matcap(*words)
-    assert said.code == 3 and "a file of this name exists, and belongs to no map set" in said.err
-    assert (place / "more" / "a_height.exr").read_bytes() == MINE
-    assert matcap(*words, "--overwrite").code == matcap(*words).code == 0
-
-
-def test_a_mask_is_not_replaced_by_what_is_made_with_it(matcap, place):
-    (place / "a_diffuse.png").write_bytes((place / "photo.png").read_bytes())
-    said = matcap(
-        "synth", "a.matcap", "--size", "16", "-j", "1", "--png", "--blend", "b.matcap",
-        "--mask", "a_diffuse.png", "-o", ".", "--overwrite",
-    )  # fmt: skip
-    assert said.code == 2 and "the same command reads this file" in said.err
 
 
 FORGED = ("../../victim/keep", "../x", "/tmp/x", ".keep", "a\nb", "a\0b")

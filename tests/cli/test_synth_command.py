@@ -3,7 +3,6 @@
 import filecmp
 import json
 
-import cv2
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -72,32 +71,6 @@ def test_a_texture_set_is_one_field(matcap, material, tmp_path):
         assert np.allclose(tile, field[y : y + 16, x : x + 32], rtol=1e-3)
 
 
-def test_one_file_of_all_maps_is_read_back(matcap, material, tmp_path):
-    assert matcap("synth", material, "--size", "70x20", "--single", "-o", "set", "-q").code == 0
-    names = {file.name for file in (tmp_path / "set").iterdir()}
-    assert names == {"leather_maps.exr", "leather_preview.png", "leather.json"}
-    maps, _ = read_mapset(tmp_path / "set")
-    assert_stored(maps, Field(Material.load(material), 0).read(0, 0, 70, 20))
-
-
-def test_a_blend_has_both_materials_at_its_ends(matcap, material, tmp_path):
-    a_material("cloth", 2, across=512).save(tmp_path / "cloth.matcap")
-    mask = np.repeat(np.array([[0, 0, 255, 255]], np.uint8), 4, axis=0)
-    cv2.imwrite(str(tmp_path / "mask.png"), mask)
-    options = ["--blend", "cloth.matcap", "--mask", "mask.png", "--seed", 3]
-    assert matcap("synth", material, *options, "--size", "160x48", "-o", "set", "-q").code == 0
-    maps, document = read_mapset(tmp_path / "set")
-    assert document["provenance"]["blend"] == ["leather", "cloth"]
-    leather, cloth = (
-        Field(Material.load(tmp_path / f"{name}.matcap"), 3).read(0, 0, 160, 48)
-        for name in ("leather", "cloth")
-    )
-    assert_stored(maps.crop(0, 0, 60, 48), leather.crop(0, 0, 60, 48))
-    assert_stored(maps.crop(100, 0, 60, 48), cloth.crop(100, 0, 60, 48))
-    middle = maps.crop(70, 0, 20, 48).diffuse
-    assert not torch.allclose(middle, leather.crop(70, 0, 20, 48).diffuse, atol=0.01)
-
-
 def test_an_interrupted_run_goes_on(matcap, material, tmp_path, monkeypatch):
     arguments = ["synth", material, "--size", f"{3 * BLOCK}x40", "-j", "1", "-q"]
     assert matcap(*arguments, "-o", "whole").code == 0
@@ -131,8 +104,6 @@ def test_failures_leave_nothing(matcap, material, tmp_path):
         ([material, "-o", "set", "--size", "99999999999x5"], "more than an OpenEXR file holds", 2),
         ([material, "-o", "set", "--tile", "--size", "100"], "round it to a multiple of 16", 2),
         ([material, "-o", "set", "--udim", "11x1"], "at most 10 columns", 2),
-        ([material, "-o", "set", "--mask", "mask.png"], "give --blend", 2),
-        ([material, "-o", "set", "--blend", material], "give a picture with --mask", 2),
         (
             [material, "-o", "set", "--like", "photo.jpg"],
             "--like: this applies only to a material",
@@ -159,21 +130,6 @@ def test_cuda_where_there_is_none(matcap, material, monkeypatch):
     said = matcap("synth", material, "--size", "8x8", "--device", "cuda")
     assert said.code == 2 and "--device: PyTorch sees no CUDA device; use cpu" in said.err
     assert matcap("synth", material, "--size", "8x8", "--device", "auto", "-o", "set").code == 0
-
-
-@pytest.mark.parametrize(
-    "other", [("--region", "8,0,32,16"), ("--seed", 4), ("--tile",), ("--normal", "dx")]
-)
-def test_another_map_set_is_not_replaced_unasked(matcap, material, tmp_path, other):
-    first = () if "--region" in other else ("--size", "32x16")
-    assert matcap("synth", material, "--size", "32x16", "-o", "set", "-q").code == 0
-    assert matcap("synth", material, "--size", "32x16", "-o", "set", "-q").code == 0  # the same
-    before = (tmp_path / "set" / "leather.json").read_bytes()
-    said = matcap("synth", material, *first, *other, "-o", "set")
-    assert said.code == 3
-    assert "another map set of this name exists" in said.err and "--overwrite" in said.err
-    assert (tmp_path / "set" / "leather.json").read_bytes() == before
-    assert matcap("synth", material, *first, *other, "-o", "set", "--overwrite").code == 0
 
 
 def test_default_folders_tell_what_differs(matcap, material, tmp_path):

@@ -153,7 +153,7 @@ def run(page: str, folder: Path, captured: Path | None = None) -> Iterator[tuple
 
 def _again(words: Sequence[str]) -> tuple[str, ...]:
     """Pages show one command with several options in turn, and all write to one place."""
-    repeats = words[0] in ("capture", "export", "relight")
+    repeats = words[0] in ("capture", "synth", "export", "relight", "view", "blend", "sample")
     return ("--overwrite",) if repeats and "--overwrite" not in words else ()
 
 

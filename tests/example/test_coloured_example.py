@@ -94,7 +94,7 @@ def test_the_piece_repeats_in_its_colours():
         assert float(hue.specular[channel].mean()) == pytest.approx(there.mean(), rel=0.05)
 
 
-@pytest.mark.parametrize("words", [[], ["--single"], ["--mip", "--png"], ["--tile", "piece"]])
+@pytest.mark.parametrize("words", [[], ["--mip", "--png"], ["--tile", "piece"]])
 def test_what_is_written_has_its_colour(tmp_path, words):
     path = tmp_path / "gold.matcap"
     material = a_material("gold", example=a_coloured_example())

@@ -1,6 +1,6 @@
 """Pictures that a page draws in Chromium: needs playwright and a Chromium, no screen.
 
-What npm installs lies in `.node`: `npm install --prefix .node three babylonjs babylonjs-loaders`.
+What npm installs lies in `.node`: `npm install --prefix .node three`.
 """
 
 import base64

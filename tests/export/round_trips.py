@@ -3,7 +3,7 @@
 Each material (by default the procedural ones that matcap simulates; with -m the metals of
 metals.py) is exported to every target, checked by the target's validator, read back by its library
 and compared with matcap; with -r also rendered under a high light and a grazing one: MaterialX's
-shaders, three.js and Babylon.js in Chromium, Mitsuba, and Blender where BLENDER_PYTHON names a
+shaders and three.js in Chromium, Mitsuba, and Blender where BLENDER_PYTHON names a
 Python with bpy; pictures are compared as means of 16 x 16 pixels. Prints the tables of
 docs/notes/exports.md: light that differs, as a share of all light, mean and worst of the materials,
 and what each of them has. What is not installed is left out and said.
@@ -18,7 +18,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import render_babylon
 import render_three
 from chromium import browsing
 from exported import unlike
@@ -28,7 +27,7 @@ from target_surfaces import residual
 
 import matcap
 from matcap.export import presets
-from matcap.export.engines import ENGINES
+from matcap.export.engines import PRESETS
 from matcap.export.job import ExportJob
 from matcap.export.surface import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
@@ -99,11 +98,6 @@ def rendered(target, folder, name, maps, place):
     if drawing and target == "usd" and render_three.PLACE.is_dir():
         found["in three.js, its normals undoubled"] = render_three.render(
             file, maps, place, power, plain_normals=True
-        )
-    if drawing and target == "gltf" and render_babylon.PLACE.is_dir():
-        found["in Babylon.js"] = render_babylon.render(file, maps, place, power)
-        found["in Babylon.js, highlights not widened"] = render_babylon.render(
-            file, maps, place, power, widened=False
         )
     return {f"{target}, {where}": picture for where, picture in found.items()}
 
@@ -215,7 +209,7 @@ def main(words) -> None:
                         for what, picture in rendered(target, folder, name, maps, place).items():
                             row = rows.setdefault(f"{what}, rendered, {height}", [])
                             row.append(unlike(picture, true))
-            for preset in ENGINES:
+            for preset in (one for one, forms in PRESETS.items() if None not in forms):
                 done = write_export(
                     ExportJob(maps, name), preset, Path(kept) / f"{count}_{preset}p"
                 )

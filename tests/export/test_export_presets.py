@@ -362,8 +362,8 @@ def test_pngs_say_how_they_are_to_be_read_and_how_large_a_texel_is(tmp_path):
     assert b"sRGB" not in plain
     assert int.from_bytes(plain[b"gAMA"]) == 100_000
     assert plain[b"pHYs"] == (5000).to_bytes(4) * 2 + b"\1"  # 0.2 mm each
-    write_export(moss(), "polyhaven", tmp_path)
-    assert b"pHYs" not in chunks((tmp_path / "moss_rough_1k.png").read_bytes())
+    write_export(moss(), "polyhaven", tmp_path / "unmeasured")
+    assert b"pHYs" not in chunks((tmp_path / "unmeasured" / "moss_rough_1k.png").read_bytes())
 
 
 @pytest.mark.parametrize("container", ["jpg", "webp"])

@@ -6,7 +6,7 @@ import pytest
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import StagedFolder, name_fault, plain_name, sanitised_name, usable_name
-from matcap.files.staging import staged
+from matcap.files.output import Output
 from matcap.files.values import Rectangle, Size, duration, region, size
 
 NASTY = (
@@ -39,7 +39,7 @@ def test_nothing_is_staged_outside_its_folder(tmp_path, name):
     (tmp_path / "keep").write_text("mine")
     with (
         pytest.raises(MatcapError, match="leads out of the folder"),
-        staged(tmp_path / "out") as stage,
+        Output(tmp_path / "out").stage() as stage,
     ):
         (stage / name).write_text("theirs")
     assert [file.name for file in tmp_path.iterdir()] == ["keep"]

@@ -7,12 +7,10 @@ from draws import run
 from repetition import correlations
 
 from matcap.field.blocks import BLOCK
-from matcap.field.field import Field, read_source
+from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.synth.blend import blend_source
-from matcap.synth.mask import Mask
 
 
 def test_random_rectangles_orders_and_workers_give_the_same_bits(material):
@@ -74,30 +72,3 @@ def test_every_bit_of_seed_and_place_changes_half_of_the_hash():
         ):
             # The sign is a hash's top bit: it should be a coin's toss.
             assert abs(float((one.sign() != changed.sign()).float().mean()) - 0.5) < 0.05
-
-
-def test_blends_are_the_same_bits_however_they_are_read(material, wavy):
-    pixels = np.random.default_rng(1).integers(0, 256, (7, 9)).astype(np.uint8)
-    mask = Mask(pixels, Rectangle(-100, 0, 800, 300))
-    source = blend_source(material, wavy, mask, 4)
-    whole = read_source(source, Rectangle(-60, 20, 700, 300), 2).stacked()
-    part = read_source(source, Rectangle(400, 100, 180, 190), 1).stacked()
-    assert torch.equal(part, whole[:, 80:270, 460:640])
-
-
-def test_a_periodic_blend_repeats(material, wavy):
-    pixels = np.random.default_rng(1).integers(0, 256, (5, 4)).astype(np.uint8)
-    area = Rectangle(0, 0, 96, 64)
-    source = blend_source(material, wavy, Mask(pixels, area, (96, 64)), 4, (96, 64))
-    maps = read_source(source, Rectangle(-10, 5, 192, 128), 1).stacked()
-    assert torch.equal(maps, maps.roll((64, 96), (1, 2)))
-
-
-def test_where_one_material_is_alone_it_is_itself(material, wavy):
-    pixels = np.array([[0, 0, 0, 255, 255, 255]], np.uint8)
-    area = Rectangle(0, 0, 600, 64)
-    source = blend_source(material, wavy, Mask(pixels, area), 4)
-    maps = read_source(source, area, 1).stacked()
-    for end, columns in ((material, slice(0, 200)), (wavy, slice(400, 600))):
-        alone = read_source(end.generator.source(4), area, 1).stacked()
-        assert torch.allclose(maps[..., columns], alone[..., columns], atol=1e-6)

@@ -29,7 +29,7 @@ SEED, CORNER = 7, (-12, -9, 24, 16)
 CALLS = {
     "size": ["--size", "96x64", "-j", "1"],
     "region": ["--region", "-40,-24,96,64", "-j", "2", "--normal", "dx"],
-    "tile": ["--size", "64x48", "--tile", "both", "--single"],
+    "tile": ["--size", "64x48", "--tile", "both"],
 }
 
 

@@ -139,9 +139,6 @@ def test_what_an_older_set_had_and_a_newer_has_not_goes(material, tmp_path):
     write_field(*request(material, png=True), tmp_path)
     write_field(*request(material, udim=(2, 1)), tmp_path)
     assert len(list(tmp_path.iterdir())) == 3 + 2 * 5
-    write_field(*request(material, single=True), tmp_path)
-    names = {file.name for file in tmp_path.iterdir()}
-    assert names == {"m_of_mine.txt", "m_maps.exr", "m_preview.png", "m.json"}
 
 
 def test_pngs_hold_what_the_exrs_hold(material, tmp_path):

@@ -9,7 +9,6 @@ import pytest
 from materials import SMALL, a_material
 
 from matcap.field.material import Material
-from matcap.view.library import Library
 from matcap.view.pages import Pages
 from matcap.view.subject import Materials
 
@@ -38,11 +37,11 @@ def served():
 
 @contextmanager
 def serving(subject, beside=None):
-    """The page of a subject, or a library, on a free port of this machine; gives its address."""
+    """The page of a subject, on a free port of this machine; gives its address."""
     import uvicorn
 
     from matcap.view.serve import listen
-    from matcap.view.server import make_app, make_library, new_address
+    from matcap.view.server import make_app, new_address
 
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
@@ -52,10 +51,7 @@ def serving(subject, beside=None):
         opened.append(Pages(one, workers=2))
         return opened[-1]
 
-    if isinstance(subject, Library):
-        app = make_library(subject, "shoot", address, pages_of)
-    else:
-        app = make_app(subject, address, pages_of, beside)
+    app = make_app(subject, address, pages_of, beside)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +31,6 @@ from matcap.relight.scene import Film
 from matcap.view.document import sealed_page
 from matcap.view.enclosed import packed_piece, packed_tile
 from matcap.view.level_of_detail import ExemplarAverages
-from matcap.view.library import Library
 from matcap.view.moments import edged, moments_of
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
 from matcap.view.pages import WIDTH as PAGE_WIDTH
@@ -315,37 +313,6 @@ def test_the_enclosed_piece_has_its_colour(tab, tmp_path):
     shown = picture(page, left="flash", right="piece", wipe=1, span=WIDTH, x=home["x"], y=home["y"])
     off = np.abs(of_the_piece(shown, exemplar) - encode(under_flash(exemplar), Film()))[2:-2, 2:-2]
     assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
-
-
-class Shelf(Library):
-    """Materials of the memory, a grey one and one with a colour."""
-
-    def __init__(self):
-        super().__init__(())
-        self.files = (Path("grey.matcap"), Path("golden.matcap"))
-        self._made = [a_material("grey", example=an_example()), golden()]
-
-    def _open(self, first, second):
-        return Materials(self._made[first], None if second is None else self._made[second])
-
-
-def test_grey_and_coloured_spheres_beside_each_other(tab, served):
-    with served(Shelf()) as address:
-        page = tab(address.url)
-        page.until("!!window.matcap && matcap.shelf.pages.held.size === 2", 120)
-        grey, gold = page.ask("""() => [0, 1].map((index) => {
-          const { gl } = matcap.shelf, box = matcap.cards[index].face.getBoundingClientRect();
-          matcap.shelf.draw(matcap.cards);
-          const side = Math.round(box.width), codes = new Uint8Array(4 * side * side);
-          gl.readPixels(box.left, gl.canvas.height - box.bottom, side, side, gl.RGBA,
-            gl.UNSIGNED_BYTE, codes);
-          const sums = [0, 0, 0];
-          for (let i = 0; i < codes.length; i++) if (i % 4 < 3) sums[i % 4] += codes[i];
-          return sums;
-        })""")
-    # Their diffuse albedos are the same, of as much red as blue.
-    assert grey[0] == pytest.approx(grey[2], rel=0.02)
-    assert gold[0] > 1.02 * gold[2] and gold[0] > 1.02 * grey[0]
 
 
 def test_four_metals_are_what_they_are_called():

@@ -2,7 +2,6 @@
 
 import io
 import json
-import zipfile
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -369,30 +368,6 @@ def test_slopes_at_an_exemplars_border_are_one_sided():
                                rtol=1e-5)  # fmt: skip
     np.testing.assert_allclose(found[6, -1, 3], (stacked[5, -2, 3] - stacked[5, -1, 3]) / 0.5,
                                rtol=1e-5)  # fmt: skip
-
-
-def test_export_is_a_zip_of_what_matcap_export_writes(client, material):
-    asked = {"target": "raw", "size": "64", "seed": "5", "adjust": "relief=2"}
-    answer = get(client, "export", **asked)
-    assert answer.status_code == 200
-    assert "test_raw.zip" in answer.headers["content-disposition"]
-    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
-        names = archive.namelist()
-        sidecar = json.loads(archive.read("test_raw/test_raw.json"))
-    assert any(name.endswith(".exr") for name in names)
-    assert sidecar["provenance"]["adjust"] == "relief=2"
-    assert (sidecar["width"], sidecar["periodic"]) == (64, True)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"target": "paper"}, {"size": "63"}, {"size": "99999"}, {"size": "x"}, {"share": "nan"},
-     {"adjust": "shine=1"}, {"adjust": "/etc/passwd.json"}, {"seed": str(2**70)}],
-)  # fmt: skip
-def test_an_export_that_cannot_be_is_one_sentence(client, change):
-    answer = get(client, "export", **({"target": "raw", "size": "64"} | change))
-    assert answer.status_code == 400
-    assert answer.text.count("\n") == 0 and "root:" not in answer.text
 
 
 def test_the_photographed_piece_is_the_exemplar(tmp_path):

@@ -19,10 +19,8 @@ _HEAD = """\
 # File formats
 
 Files appear under their names only when all of them are whole, and on the disk; a failure leaves
-what was there before. Where the power went while files were taking their places, a folder
-`.matcap-journal` is left, and whichever matcap reads or writes there next puts the old files back.
-Materials and map sets carry a version of their own, and a file of another version is
-refused, not misread.
+what was there before. Materials and map sets carry a version of their own, and a file of another
+version is refused, not misread.
 
 ## What the numbers mean
 

@@ -27,7 +27,7 @@ MODULES = {
     "matcap.flash.geometry": ("FlashSetup",),
     "matcap.brdf.cook_torrance": ("cook_torrance",),
     "matcap.synth.synthesise": ("synthesise",),
-    "matcap.synth.request": ("SynthRequest", "MaskedBlend", "Work"),
+    "matcap.synth.request": ("SynthRequest", "Work"),
     "matcap.field.options": ("ReadOptions",),
     "matcap.relight.scene": (
         "Scene", "Film", "Camera", "Surface", "PointLight", "DirectionalLight", "SphereLight",

@@ -449,7 +449,7 @@ def paper(
     next one, and compares draws of the prior with all map sets of the folder. Writes paper.csv and
     paper.md, with the paper's own figures, and prints the page.
     """
-    from matcap.files.staging import staged_file
+    from matcap.files.output import Output
     from matcap_lab.bench.paper import paper_experiments, paper_page
     from matcap_lab.experiment.results import command_line
     from matcap_lab.experiment.runner import choose
@@ -465,7 +465,7 @@ def paper(
         if some and each.subjects:
             rows += _measured(replace(each, configurations=some), out, "paper")
     page = paper_page(rows, command_line())
-    with staged_file(out / "paper.md") as file:
+    with Output.file(out / "paper.md") as file:
         file.write_text(page, encoding="utf-8")
     typer.echo(page)
 
@@ -475,7 +475,7 @@ def _measured(experiment: Experiment[Any, Any], out: Path, name: str = "") -> li
 
     The table's name is the experiment's by default.
     """
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap_lab.experiment.runner import run
 
     check_writable(out, 200_000_000)

@@ -38,7 +38,7 @@ def corpus(
     quiet: QuietOption = False,
 ) -> None:
     """Pack photographs for training; unreadable ones are left out and listed."""
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap_lab.train.corpus import build
 
     check_writable(out.parent, 50_000_000)
@@ -111,7 +111,7 @@ def align(
     quiet: QuietOption = False,
 ) -> None:
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.space.alignment import load_alignment, save_alignment
     from matcap_lab.train.alignment import report_alignment, train_branch
 
@@ -139,7 +139,7 @@ def make(
     Takes hours on one core. The same command resumes an earlier run from its files in the folder
     of the prior's name.
     """
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.space.prior.store import SHIPPED
     from matcap_lab.train.finish import make_prior
 
@@ -213,7 +213,7 @@ def variety(
 
     Precision, recall and pairwise style distance, and a sheet of draws.
     """
-    from matcap.files.staging import check_writable
+    from matcap.files.output import check_writable
     from matcap.space.prior.store import load_prior
     from matcap_lab.experiment.results import command_line
     from matcap_lab.train.corpus import Pack

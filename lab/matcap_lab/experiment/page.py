@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap_lab.experiment.results import (
     Mean,
     Trial,
@@ -77,7 +77,7 @@ def write_page(tables: Mapping[Path, Presentation], page: Path, command: str) ->
     before = page.read_text(encoding="utf-8") if page.exists() else ""
     _, kept, by_hand = before.partition(f"{BY_HAND}\n")
     text = "\n".join(lines).rstrip() + "\n" + (f"\n{kept}{by_hand}" if kept else "")
-    with staged_file(page) as file:
+    with Output.file(page) as file:
         file.write_text(text, encoding="utf-8")
     return text
 
@@ -253,5 +253,5 @@ def save_figure(figure: Any, path: Path) -> None:  # noqa: ANN401
     Raises:
         MatcapError: the file cannot be written.
     """
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         figure.savefig(file, format="png", dpi=110, metadata={"Software": None})

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from matcap.errors import MatcapError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 
 Value = float | str
 
@@ -287,7 +287,7 @@ def _value(text: str) -> Value:
 
 def _write(path: Path, rows: Sequence[Trial]) -> None:
     names = [*_KEYS, *columns_of(rows)]
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         heading = _text([], names, heading=True)
         file.write_text(heading + _text(rows, names), encoding="utf-8", newline="")
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from matcap.files.output import Output
 from matcap.files.srgb import srgb_picture
-from matcap.files.staging import staged_file
 from matcap.photo.tone import ToneCurve
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, expose, sensor_noise
 
@@ -72,7 +72,7 @@ def write_dng(path: Path, shot: Shot, seed: int, shading: float = 0.0) -> None:
     Raises:
         MatcapError: the file cannot be written.
     """
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         tifffile.imwrite(
             file,
             mosaic(shot, seed, shading),
@@ -225,5 +225,5 @@ def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None)
             for number, value in exif_of(shot).items()
         }
     )
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         picture.save(file, format="JPEG", quality=_QUALITY, exif=exif)

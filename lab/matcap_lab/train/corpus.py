@@ -23,8 +23,8 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.field.material import Material
+from matcap.files.output import Output
 from matcap.files.srgb import srgb_decode, srgb_encode, srgb_encode_tensor
-from matcap.files.staging import staged_file
 from matcap.files.tensors import write_tensors
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, plane_points
@@ -456,7 +456,7 @@ def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
     share = _SHOWN / pictures[0].shape[-2]
     small = cv2.resize(code, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
     stored = np.ascontiguousarray((small * 255.0).round().astype(np.uint8))
-    with staged_file(path) as file:
+    with Output.file(path) as file:
         file.write_bytes(encode(stored, _QUALITY))
 
 

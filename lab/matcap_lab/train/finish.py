@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from matcap.errors import UsageError
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.flash.rectify import rectify
 from matcap.space.alignment import load_alignment, save_alignment
 from matcap.space.decoder import CODE_SIZE, Decoder
@@ -212,7 +212,7 @@ def make_prior(
         save_alignment(branch, made)
     count = min(24, materials)
     card = _card(prior, pack, recipe, place, branch if count else None, count)
-    with staged_file(out.with_suffix(".md")) as file:
+    with Output.file(out.with_suffix(".md")) as file:
         file.write_text(card, encoding="utf-8")
     return prior
 

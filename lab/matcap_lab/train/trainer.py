@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from matcap.errors import MatcapError
 from matcap.field.device import computes_bfloat16
-from matcap.files.staging import staged_file
+from matcap.files.output import Output
 from matcap.files.tensors import write_tensors
 
 Trained = TypeVar("Trained", bound=nn.Module)
@@ -227,7 +227,7 @@ class Curves:
         self._notes.clear()
         if self._path is not None:
             columns = list(dict.fromkeys(name for row in self._rows for name in row))
-            with staged_file(self._path) as path, path.open("w", newline="") as file:
+            with Output.file(self._path) as path, path.open("w", newline="") as file:
                 writer = csv.DictWriter(file, columns, restval=math.nan, lineterminator="\n")
                 writer.writeheader()
                 writer.writerows(self._rows)

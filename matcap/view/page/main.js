@@ -172,9 +172,6 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     else $("stage").requestFullscreen().catch(() => {});
   };
   $("large").addEventListener("click", enlarge);
-  $("export").addEventListener("submit", () => {
-    tell(`exporting for ${$("target").value}; the download begins by itself`);
-  });
   $("again").addEventListener("click", () => view.set({}));
   const help = () => $("keys-dialog").showModal();
   $("help").addEventListener("click", help);

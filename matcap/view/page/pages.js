@@ -105,14 +105,6 @@ export class Pages {
     return appearing;
   }
 
-  // Set the table's first cell to one page.
-  show(level, column, row) {
-    const { gl } = this, page = this.held.get(Pages.key(level, column, row));
-    this.#tell(level, column, row, page, null, 0, 0);
-    gl.bindTexture(gl.TEXTURE_2D, this.table);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 3, 1, gl.RGBA, gl.FLOAT, this.entries.subarray(0, 12));
-  }
-
   // Least and greatest value of a map over all pages, at least the displayed range apart.
   range(map) {
     let low = Infinity, high = -Infinity;
@@ -137,7 +129,8 @@ export class Pages {
     }
   }
 
-  #tell(level, column, row, under, over, share, at = cellAt(column, row)) {
+  #tell(level, column, row, under, over, share) {
+    const at = cellAt(column, row);
     [under, over].forEach((page, index) => {
       const to = at + 4 * index;
       if (!page) { this.entries[to] = -1; return; }

@@ -7,10 +7,6 @@ const SCALE = 190; // pixels that the scale is long at most
 
 export function describe(about) {
   $("name").textContent = about.name;
-  if (about.library) {
-    const textContent = "‹ All materials";
-    $("name").before(make("a", { id: "home", className: "home", textContent, href: "../../" }));
-  }
   const [wide, tall] = about.period || [];
   $("what").textContent = about.period ? `repeats every ${wide} × ${tall} texels`
     : "endless: it never repeats";
@@ -32,8 +28,6 @@ export function describe(about) {
     const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
     $("verdict").replaceChildren(make("b", { textContent: rating }), `: ${text}`);
   }
-  for (const target of about.targets) $("target").append(new Option(target));
-  $("export").hidden = about.targets.length === 0;
 }
 
 // A length in texels as text.
@@ -88,8 +82,6 @@ export function showState(view) {
   $("tint").value = state.adjust.tint;
   const text = adjustmentsText(state.adjust);
   $("adjust-text").textContent = text ? `--adjust ${text}` : "";
-  for (const name of ["seed", "share"]) $("export").elements[name].value = state[name];
-  $("export").elements.adjust.value = text;
   showPiece(view);
 }
 
