@@ -1,0 +1,83 @@
+"""A capture step by step: every step is a public function, and any can be replaced.
+
+python examples/capture_steps.py PHOTO OUT [--flat-prior]
+
+`--flat-prior` replaces the inverse network by a prior of flat, even maps: what the photograph alone
+then says of relief and albedo is the measurement's.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import matcap
+from matcap.brdf.folder import MapSetInfo
+from matcap.capture.exemplar.detail_transfer import transfer_detail
+from matcap.capture.exemplar.estimate import (
+    classified,
+    indexed,
+    map_set_of,
+    measured_spectrum,
+    scaled_to_spectrum,
+)
+from matcap.capture.exemplar.exposure_prior import most_probable_scale, scaled
+from matcap.capture.exemplar.inpaint import inpainted
+from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.exemplar.observation import Observation
+from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
+from matcap.capture.exemplar.refine import refine_maps
+from matcap.capture.rectified import Rectified
+from matcap.capture.tilt import fit_photograph
+from matcap.field.material import Material
+from matcap.photo.photo import Photo
+
+Prior = Callable[[Observation], tuple[Observation, NetworkPrediction]]
+
+
+def network_prior(observed: Observation) -> tuple[Observation, NetworkPrediction]:
+    """The shipped inverse network."""
+    return predict_maps(observed, load_inverse())
+
+
+def flat_prior(observed: Observation) -> tuple[Observation, NetworkPrediction]:
+    """Flat, even maps: residuals of zero from the coarse fit, with the network's deviations."""
+    observed, predicted = predict_maps(observed, load_inverse())
+    return observed, replace(
+        predicted, residuals=predicted.residuals - predicted.residuals, logit=None
+    )
+
+
+def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matcap.MapSet]:
+    """A photograph to a material, and to the maps of the photographed rectangle."""
+    coarse = fit_photograph(photo)  # camera, flash, tone curve and a uniform material
+    rectified = Rectified.of(photo.linearised(coarse.tone), coarse, max(photo.pixels.shape))
+
+    observed, predicted = prior(Observation.of(rectified.network_input, coarse))
+    predicted = scaled_to_spectrum(observed, predicted, measured_spectrum(observed, predicted))
+    observed, predicted = classified(observed, predicted)  # dielectric, metal, or both
+    predicted = refine_maps(observed, predicted)  # until they re-render to the photograph
+
+    exemplar = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
+    exemplar = transfer_detail(exemplar, rectified.whole, coarse)
+    scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
+    exemplar, example = indexed(
+        scaled(exemplar, scale).rounded(), rectified.waves, turned=photo.turned
+    )
+    material = Material(
+        name=photo.stem,
+        generators={"example": example},
+        texel_size=rectified.whole.texel_size,
+        setup=replace(coarse.setup.dimmed(scale), turned=photo.turned),
+    )
+    return material, map_set_of(exemplar)
+
+
+if __name__ == "__main__":
+    path, out = Path(sys.argv[1]), Path(sys.argv[2])
+    photo = matcap.load_photo(path, long_side=1024)
+    material, maps = capture(photo, flat_prior if "--flat-prior" in sys.argv else network_prior)
+    matcap.write_mapset(maps, out, MapSetInfo(material.name, seed=0))
+    material.save(out / f"{material.name}.matcap")
