@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -85,9 +86,11 @@ def test_the_wheel_has_code_and_weights(tmp_path):
     pytest.importorskip("setuptools")
     build = "from setuptools import build_meta as b; b.build_wheel(__import__('sys').argv[1])"
     command = [sys.executable, "-c", build, str(tmp_path)]
-    subprocess.run(command, cwd=ROOT / "lab", capture_output=True, check=True)
+    ignored = shutil.ignore_patterns("tests", "build", "*.egg-info", "__pycache__")
+    source = shutil.copytree(ROOT / "lab", tmp_path / "lab", ignore=ignored)
+    subprocess.run(command, cwd=source, capture_output=True, check=True)
     (wheel,) = tmp_path.glob("matcap_lab-*.whl")
     names = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    files = (ROOT / "lab" / "matcap_lab").rglob("*.*")
+    files = (path for path in (ROOT / "lab" / "matcap_lab").rglob("*") if path.is_file())
     tree = {str(file.relative_to(ROOT / "lab")) for file in files if file.suffix != ".pyc"}
     assert names == tree

@@ -6,7 +6,7 @@ the light's falloff, the highlight's position and the texture's foreshortening. 
 on image position, so features are pooled on a grid, and a blurred image is an input of the last
 layers. The foreshortening of fine texture is measured separately (convergence.py); a second, small
 network weighs the three estimates of each angle. Trained on simulated photographs of known tilt
-(lab/train/align.py, fusion.py).
+(lab/matcap_lab/train/alignment.py).
 
 Angles are those of FlashSetup, in radians: positive tilt_x turns the plane's upper edge towards the
 camera, positive tilt_y its left edge.

@@ -150,7 +150,7 @@ def metals(
     Photographs known metals, captures them, and compares F0 where the truth is metal and where it
     is dielectric, texel by texel. Prints the table.
     """
-    from matcap_lab.bench.reflectance import ABOUT, metals_experiment
+    from matcap_lab.bench.reflectance import METALS, metals_experiment
     from matcap_lab.simulate.kinds.metals_and_coats import SHEETS
     from matcap_lab.simulate.photograph import PhoneCamera
     from matcap_lab.simulate.specimen import subjects
@@ -158,7 +158,7 @@ def metals(
     chosen = subjects(material or tuple(SHEETS), sets)
     camera = PhoneCamera(width=pixels, height=pixels // 8 * 6)
     settings = CaptureSettings(preset, detail=detail)
-    _print(metals_experiment(chosen, out, settings, camera, known=known), out, ABOUT)
+    _print(metals_experiment(chosen, out, settings, camera, known=known), out, METALS)
 
 
 @app.command()
@@ -177,10 +177,10 @@ def fields(
     in `bench floors`, by the length of joints relative to the truth's, and by the phase error of a
     lattice 16384 texels away. Prints the table.
     """
-    from matcap_lab.bench.fields import ABOUT, fields_experiment, grating, phase_off
+    from matcap_lab.bench.fields import FIELDS, fields_experiment, grating, phase_off
     from matcap_lab.simulate.specimen import subjects
 
-    _print(fields_experiment(subjects(material or (), sets)), out, ABOUT)
+    _print(fields_experiment(subjects(material or (), sets)), out, FIELDS)
     for period, angle in _LATTICES if phases else ():
         off = phase_off(grating(period, angle, (1280, 960)))
         text = "no lattice" if off is None else f"{off:.4f} of a turn off"
@@ -206,10 +206,10 @@ def gloss(
 
     Prints the table, a row for each material and exposure.
     """
-    from matcap_lab.bench.reflectance import ABOUT, gloss_experiment, materials
+    from matcap_lab.bench.reflectance import GLOSS, gloss_experiment, materials
 
     chosen = materials(slope or (0.0,))
-    _print(gloss_experiment(chosen, stops or (0, 1, 2, 3), exemplar=piece), out, ABOUT)
+    _print(gloss_experiment(chosen, stops or (0, 1, 2, 3), exemplar=piece), out, GLOSS)
 
 
 @app.command()
@@ -234,10 +234,10 @@ def highlight(
     their coarse fits, which are written side by side. Prints the table, and errors of offset and
     tilt on simulated ones.
     """
-    from matcap_lab.bench.reflectance import ABOUT, highlight_experiment
+    from matcap_lab.bench.reflectance import HIGHLIGHT, highlight_experiment
 
     experiment = highlight_experiment(photographs or (), simulated, seed, out, has_fov=states_fov)
-    _print(experiment, out, ABOUT)
+    _print(experiment, out, HIGHLIGHT)
 
 
 @app.command()
@@ -257,9 +257,9 @@ def repetition(
     Autocorrelation and cross-correlation of two seeds, sizes of verbatim copies, and difference of
     two seeds. Prints the table.
     """
-    from matcap_lab.bench.fields import ABOUT, repetition_experiment
+    from matcap_lab.bench.fields import REPETITION, repetition_experiment
 
-    _print(repetition_experiment(materials or (), size), out, ABOUT)
+    _print(repetition_experiment(materials or (), size), out, REPETITION)
 
 
 @app.command()

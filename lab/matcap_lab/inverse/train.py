@@ -1,7 +1,7 @@
 """Training of the inverse network in runs that continue one another exactly.
 
 A step trains on simulated photographs; samples are a pure function of their numbers, prefetched by
-worker processes. lab/train/trainer.py runs the steps. The shipped weights are the running average.
+worker processes. train/trainer.py runs the steps. The shipped weights are the running average.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Pictures are JPEGs (sRGB), long side along x. Each has its coarse fit, contrast, plane waves and, if
 simulated, the true tilt. Reading it needs only torch, numpy, cv2 and safetensors, so that training
-runs without matcap's other dependencies; corpus.py builds it.
+runs without matcap's other dependencies.
 """
 
 from __future__ import annotations

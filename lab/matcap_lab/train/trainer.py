@@ -2,7 +2,7 @@
 
 Everything random in a step follows from its number, so weights, moments and step are the whole
 state: a run killed at any time goes on from its last checkpoint as if nothing had happened. Each
-network's samples and losses are in train/train.py and inverse/train.py.
+network's samples and losses are in train/training.py and inverse/train.py.
 """
 
 from __future__ import annotations

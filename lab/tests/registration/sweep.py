@@ -1,7 +1,7 @@
 """Errors of registered cameras on many simulated sets, of which a third are hard.
 
-    python tests/capture/registration/sweep.py --sets 300
-    python tests/capture/registration/sweep.py --sets 24 --aligned 512
+    python lab/tests/registration/sweep.py --sets 300
+    python lab/tests/registration/sweep.py --sets 24 --aligned 512
 
 Prints a table of sets, with means by difficulty; a killed run continues from its CSV. Exits with 4
 if a camera is off by more than 2 % of its distance, or a photograph of another sample was used.

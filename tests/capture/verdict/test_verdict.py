@@ -111,8 +111,8 @@ def test_a_measurement_that_is_not_a_number_has_failed():
     assert judge(replace(FINE, light=math.nan)).rating is Rating.FAILED
 
 
-def test_the_highlight_of_a_photograph_is_described(leather):
-    quality = photograph_quality(leather[0])
+def test_the_highlight_of_a_photograph_is_described():
+    quality = photograph_quality(shots.good("tile"))
     assert "times as bright as a matte surface" in quality["highlight"].says
     assert "glints in the highlight vary by" in quality["glints"].says
 
