@@ -48,8 +48,8 @@ from matcap.space.decoder import (
 )
 from matcap.space.freeze import FoldedDecoder, FoldedLayer, freeze
 from matcap.space.lattice_channels import WAVE_CHANNELS
+from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.random_field import noise_of
 from matcap.space.source import BlockSpans, DecoderSource, spans_of_block
 from matcap.space.tuned import TunedDecoder
 
@@ -164,9 +164,7 @@ def field_costs(
         keep_memory()
     subject, (width, height) = material(NETWORKS[network]), settings.size
     config = subject.decoder.config
-    noise = noise_of(
-        Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.structured_channels
-    )
+    noise = noise_field(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels)
     noise = noise[None].contiguous()
     source = _source(subject, Grid(*map(int, block.split("x"))), precision)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -24,7 +23,6 @@ from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
 from matcap.space.prior.encoder_input import texture
 from matcap.space.random_field import RandomField
-from matcap.space.structured_noise import structured_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank
@@ -147,13 +145,6 @@ def fields(
     torus = Patch(seed, Rectangle(0, 0, side, side), period=(side, side), device=device)
     noise = noise_field(torus, config.noise_channels * len(waves))
     noise = noise.view(len(waves), config.noise_channels, side, side)
-    if config.structured_channels:
-        seeds = range(seed * len(waves), (seed + 1) * len(waves))
-        structured = [
-            structured_field(replace(torus, seed=one))[: config.structured_channels]
-            for one in seeds
-        ]
-        noise = torch.cat([noise, torch.stack(structured)], dim=1)
 
     def at(level: int, waves: tuple[Wave, ...]) -> Tensor:
         here = side >> level
