@@ -271,9 +271,9 @@ def camera(
     jpeg: Annotated[bool, typer.Option("--jpeg", help="Simulate JPEGs, not RAW.")] = False,
     out: OutOption = Path("bench/camera"),
 ) -> None:
-    """Effect of a common camera profile (vignetting) on coarse fits.
+    """Coarse fits of photographs: vignetting, tone curve, metal; errors of simulated ones.
 
-    Fits each photograph alone, then all with the profile fitted to them. Prints the table.
+    Prints the table.
     """
     from matcap.batch.input_folder import find_samples
     from matcap.lab.bench.cameras import ABOUT, camera_experiment

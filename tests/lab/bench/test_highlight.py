@@ -12,16 +12,14 @@ from uniform import a_setup, photograph
 
 from matcap.brdf.maps import MapSet
 from matcap.brdf.metals import METAL_F0
-from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
-from matcap.lab.bench import cameras, highlight
-from matcap.lab.bench.cameras import CameraSubject, camera_experiment, fit_errors
+from matcap.lab.bench import highlight
+from matcap.lab.bench.cameras import CameraSubject, fit_errors
 from matcap.lab.bench.gloss import PlainMaterial, gloss_experiment
 from matcap.lab.bench.highlight import highlight_experiment, kept, placed, simulated
 from matcap.lab.bench.metals import f0_errors
 from matcap.lab.experiment.runner import run
 from matcap.lab.simulate.photograph import PhoneCamera
-from matcap.lab.simulate.specimen import subjects
 
 
 @pytest.fixture(scope="module")
@@ -135,11 +133,3 @@ def test_errors_are_of_what_was_simulated_and_only_of_that(subject):
     assert found["albedo off"] == pytest.approx(0.0, abs=1e-6)
     alone = fit_errors(replace(subject, truth=None), fit)
     assert alone["lost"] == pytest.approx(1.0) and math.isnan(alone["lost off"])
-
-
-def test_too_few_photographs_are_refused(subject, monkeypatch):
-    experiment = camera_experiment((), subjects(["plaster"]), (0.4, 0.5))
-    fit = CoarseFit((0.1,) * 3, 0.04, 0.5, a_setup(), residual=0.0)
-    monkeypatch.setattr(cameras, "fit_photograph", lambda photo: fit)
-    with pytest.raises(MatcapError, match="give five or more"):
-        experiment.configurations["one camera"].run(subject, 0)
