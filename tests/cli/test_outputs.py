@@ -51,7 +51,7 @@ def everything(folder):
 
 
 @pytest.mark.parametrize("command", ["relight", "sample"])
-def test_a_picture_of_somebody_else_stays_unless_overwritten(matcap, place, command):
+def test_a_foreign_picture_is_replaced_only_with_overwrite(matcap, place, command):
     for other in ("photo.png", "notes.png"):
         before = everything(place)
         said = matcap(*PICTURES[command], "-o", other)
@@ -62,7 +62,7 @@ def test_a_picture_of_somebody_else_stays_unless_overwritten(matcap, place, comm
         assert matcap(*PICTURES[command], "-o", other).code == 0
 
 
-def test_what_one_command_drew_another_does_not_replace(matcap, place):
+def test_a_command_does_not_replace_the_picture_of_another(matcap, place):
     assert matcap(*PICTURES["relight"], "-o", "drawn.png").code == 0
     assert matcap(*PICTURES["relight"], "-o", "drawn.png").code == 0
     said = matcap(*PICTURES["sample"], "-o", "drawn.png")
@@ -70,7 +70,7 @@ def test_what_one_command_drew_another_does_not_replace(matcap, place):
 
 
 @pytest.mark.parametrize("suffix", ["png", "exr", "gif", "mp4", "frames.exr"])
-def test_every_format_tells_who_wrote_it(matcap, place, suffix):
+def test_every_format_names_the_command_that_wrote_it(matcap, place, suffix):
     moving = ("--animate", "light-orbit", "--frames", "2") * (suffix not in ("png", "exr"))
     for _ in range(2):
         assert matcap(*PICTURES["relight"], *moving, "-o", f"made.{suffix}").code == 0
@@ -111,7 +111,7 @@ def test_suffixes_are_checked_everywhere(matcap, place, words, said):
     assert everything(place) == before
 
 
-def test_a_page_replaces_a_page_of_its_own_alone(matcap, place):
+def test_view_replaces_only_its_own_pages(matcap, place):
     (place / "index.html").write_bytes(MINE)
     words = ("view", "set", "--html", "index.html", "-q")
     said = matcap(*words)
@@ -120,7 +120,7 @@ def test_a_page_replaces_a_page_of_its_own_alone(matcap, place):
     assert matcap(*words, "--overwrite").code == matcap(*words).code == 0
 
 
-def test_blends_replace_blends_alone(matcap, place):
+def test_blend_replaces_only_blends(matcap, place):
     words = ("blend", "a.matcap", "b.matcap", "-t", "0.5", "-o", ".", "-q")
     assert matcap(*words).code == matcap(*words).code == 0
     shutil.copy(place / "a.matcap", place / "a_b_0.500.matcap")
@@ -129,7 +129,7 @@ def test_blends_replace_blends_alone(matcap, place):
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_an_export_replaces_no_file_of_somebody_else(matcap, place, target):
+def test_an_export_replaces_no_foreign_file(matcap, place, target):
     words = ("export", "set", "--to", target, "-o", "out", "-q")
     assert matcap(*words).code == 0
     files = [file for file in (place / "out").iterdir() if file.suffix != ".json"]
@@ -144,7 +144,7 @@ def test_an_export_replaces_no_file_of_somebody_else(matcap, place, target):
         assert files[0].read_bytes() != MINE
 
 
-def test_a_map_set_replaces_no_file_of_somebody_else(matcap, place):
+def test_a_map_set_replaces_no_foreign_file(matcap, place):
     (place / "more").mkdir()
     (place / "more" / "a_height.exr").write_bytes(MINE)
     words = ("synth", "a.matcap", "--size", "16", "-j", "1", "-o", "more", "-q")
@@ -154,7 +154,7 @@ def test_a_map_set_replaces_no_file_of_somebody_else(matcap, place):
     assert matcap(*words, "--overwrite").code == matcap(*words).code == 0
 
 
-def test_a_mask_is_not_replaced_by_what_is_made_with_it(matcap, place):
+def test_a_mask_is_not_replaced_by_the_map_set_made_with_it(matcap, place):
     (place / "a_diffuse.png").write_bytes((place / "photo.png").read_bytes())
     said = matcap(
         "synth", "a.matcap", "--size", "16", "-j", "1", "--png", "--blend", "b.matcap",

@@ -107,7 +107,7 @@ def test_a_cut_out_photograph_s_transparency_is_a_mask(photo_of, codes, form):
     np.testing.assert_array_equal(shrunk.left_out, np.indices((48, 64))[1] < 22)
 
 
-def test_opaque_alpha_and_next_to_nothing(photo_of, codes):
+def test_opaque_alpha_is_ignored_and_almost_nothing_opaque_is_refused(photo_of, codes):
     alpha = np.full(codes.shape[:2], 255, np.uint8)
     photo = photo_of(np.dstack([codes, alpha]), "a.png")
     assert photo.left_out is None and photo.notes == ()
@@ -182,7 +182,7 @@ def test_webp_and_avif(photo_of, codes, form):
     assert other.fov_source == "exif"
 
 
-def test_a_pillow_without_avif_is_called_that(tmp_path, codes, monkeypatch):
+def test_a_pillow_without_avif_is_named_in_the_error(tmp_path, codes, monkeypatch):
     Image.fromarray(codes).save(tmp_path / "a.avif")
     monkeypatch.setitem(sys.modules, "PIL.AvifImagePlugin", None)
     with pytest.raises(MatcapError, match="AVIF by the Pillow that is installed is not supported"):
@@ -203,7 +203,7 @@ def test_a_thumbnail_before_the_picture_is_passed_over(tmp_path, codes):
         assert photo.notes == ()
 
 
-def test_of_several_pictures_the_first_is_read_and_that_is_said(tmp_path, codes):
+def test_of_several_pictures_the_first_is_read_with_a_note(tmp_path, codes):
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         for page in (codes, 255 - codes):
             file.write(page, photometric="rgb")
@@ -212,7 +212,7 @@ def test_of_several_pictures_the_first_is_read_and_that_is_said(tmp_path, codes)
     assert photo.notes == ("The file holds 2 pictures: the first is read.",)
 
 
-def test_a_larger_picture_in_a_sub_directory_is_not_overlooked(tmp_path, codes):
+def test_a_larger_picture_in_a_sub_directory_is_refused(tmp_path, codes):
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         file.write(codes[:64, :64], photometric="rgb", subifds=1)
         file.write(codes, photometric="rgb")
