@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from matcap.errors import MatcapError
 from matcap.files.cluster import Cluster, RemoteResult
@@ -36,24 +36,6 @@ class Event:
     kind: Literal["progress", "done", "died"]
     value: Any
     """A Progress; the work's result; or the process's exit code, negative for a signal."""
-
-
-class BatchWorkers(Protocol):
-    """A worker pool: processes of this machine, or a cluster."""
-
-    size: int
-
-    def busy(self) -> int:
-        """Number of running jobs."""
-
-    def start(self, job: Any) -> None:  # noqa: ANN401
-        """Start a job on an idle worker."""
-
-    def wait(self, seconds: float) -> list[Event]:
-        """Events since the last call; waits up to `seconds` for the first."""
-
-    def close(self) -> None:
-        """Kill all workers."""
 
 
 class Processes:
@@ -209,6 +191,9 @@ class Machines:
             one.cancel()
         self._jobs = {}
         self._cluster.close()
+
+
+BatchWorkers = Processes | Machines
 
 
 def _there(work: DoWork, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401

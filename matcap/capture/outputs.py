@@ -54,6 +54,7 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
         preview_name(name),
         *mapset_files(name + PIECE),
         _confidence_file(name),
+        "error.png",  # of earlier versions
     ]
     # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
     # The pool exits first, then the stage publishes all files.

@@ -24,9 +24,8 @@ Metadata:
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
     drawing: as example, of that exemplar.
-    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells`, `grains` and
-        `drawing` (channels of lattice cells, of structured noise and of the drawing, 0 or 2);
-        absent without a decoder.
+    decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and `drawing`
+        (channels of lattice cells and of the drawing, 0 or 2); absent without a decoder.
     waves: at most two `{fx, fy}`, cycles per texel: the decoder's lattice.
 """
 

@@ -33,7 +33,7 @@ _CURVES = (b"rTRC", b"gTRC", b"bTRC")
 # Number of parameters of each type of parametric curve, table 68.
 _PARAMETERS = (1, 3, 4, 5, 7)
 # Pillow's mode by a profile's colour space signature.
-_MODES = {b"RGB ": "RGB", b"GRAY": "L", b"CMYK": "CMYK"}
+_MODES = {b"RGB ": "RGB", b"GRAY": "L"}
 
 
 def lineariser_of(
@@ -54,7 +54,7 @@ def lineariser_of(
     if space is not None:
         note = f"Colours converted from the file's profile ({space.name}) to Rec.709."
         return space.lineariser(dtype), () if _is_srgb(space) else (note,)
-    managed = _managed(profile, dtype) if profile[16:20] != b"CMYK" else None
+    managed = _managed(profile, dtype)
     if managed is not None:
         return managed, ("Colours converted through the file's profile at 8 bits.",)
     return default.lineariser(dtype), (assumed(default, "colour profile"),)
@@ -65,15 +65,6 @@ def _is_srgb(space: ColorSpace) -> bool:
     codes = np.linspace(0.0, 1.0, 64)
     worst = max(float(np.abs(curve(codes) - srgb_decode(codes)).max()) for curve in space.curves)
     return space.matrix is None and space.system_gamma == 1.0 and worst < 2e-3
-
-
-def inks_lineariser_of(
-    profile: bytes, dtype: np.dtype[np.generic]
-) -> tuple[Linearise, tuple[str, ...]] | None:
-    """Function from CMYK rows (n, W, 4) to linear colours, and notes; None if unusable."""
-    managed = _managed(profile, dtype) if profile[16:20] == b"CMYK" else None
-    note = "Colours converted from inks through the file's profile at 8 bits."
-    return None if managed is None else (managed, (note,))
 
 
 def read_profile(profile: bytes) -> ColorSpace | None:
@@ -204,7 +195,7 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
 
     def linearise(rows: NDArray[np.generic]) -> NDArray[np.float32]:
         codes = to_8_bits(rows if mode != "L" else rows[..., 0])
-        strip = Image.fromarray(np.ascontiguousarray(codes), mode=None if mode != "CMYK" else mode)
+        strip = Image.fromarray(np.ascontiguousarray(codes))
         converted = ImageCms.applyTransform(strip, transform)
         return decode(np.asarray(converted))
 

@@ -19,8 +19,6 @@ from matcap.files.stated_color import StatedColor
 from matcap.photo.photo import Decoded
 from matcap.photo.shrink import Rows, area_averaged, shrink, shrunk_size
 
-_WHITE = 0.995  # linear value at which inks and CIELAB count as clipped
-
 
 @dataclass(frozen=True)
 class Coded:
@@ -36,8 +34,6 @@ class Coded:
     """Type of the code values."""
     color: StatedColor = StatedColor()
     """Colour space of the file."""
-    other: tuple[Linearise, tuple[str, ...]] | None = None
-    """Lineariser of colours other than RGB (inks, CIELAB), with notes; or None."""
     clip_at: float = 1.0
     """Share of the largest code value from which on pixels count as clipped."""
     opacity: NDArray[Any] | None = None
@@ -58,7 +54,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     Raises:
         MatcapError: a value is NaN or infinite.
     """
-    linearise, notes = coded.other or coded.color.lineariser(coded.dtype)
+    linearise, notes = coded.color.lineariser(coded.dtype)
     whole = np.issubdtype(coded.dtype, np.integer)
     clip_code = coded.clip_at * largest_code(coded.dtype)
     clip_code = np.ceil(clip_code) if whole else clip_code
@@ -73,8 +69,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
                 "export it again without them",
             )
         light = linearise(codes)
-        judged, limit = (codes, clip_code) if coded.other is None else (light, _WHITE)
-        red, green, blue = (judged[..., channel] >= limit for channel in range(3))
+        red, green, blue = (codes[..., channel] >= clip_code for channel in range(3))
         clipped: NDArray[np.bool_] = red | green | blue
         nonlocal at_limit
         at_limit += int(np.count_nonzero(clipped))
@@ -89,7 +84,7 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
         orientation,
         notes=coded.notes + notes + transparent,
         clipped_share=at_limit / (coded.width * coded.height),
-        linear=coded.other is None and _is_linear(linearise, coded.dtype),
+        linear=_is_linear(linearise, coded.dtype),
         opacity=opacity,
     )
 

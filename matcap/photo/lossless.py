@@ -1,7 +1,7 @@
 """Reads PNG and TIFF of 8 and 16 bits, and TIFF in floating point, by OpenImageIO.
 
 Of a TIFF with several pages the largest picture is read, not thumbnails or masks. CMYK and CIELAB
-are converted here, as OpenImageIO's conversion is not colorimetric.
+are refused, as OpenImageIO's conversion is not colorimetric.
 """
 
 from __future__ import annotations
@@ -16,24 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import LINEAR, REC709_TO_D50, ColorSpace, Linearise
+from matcap.files.color import LINEAR, ColorSpace
 from matcap.files.exr import forget_error
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.exif import Exif, read_exif
-from matcap.photo.lossy import inks
 from matcap.photo.photo import Decoded
 from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
 
 # TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
-_GREYS, _MASK, _INKS, _LAB, _ICC_LAB = (0, 1), 4, 5, 8, 9
+_GREYS, _MASK = (0, 1), 4
+_NO_RGB = {5: "inks (CMYK)", 8: "CIELAB colours", 9: "ICCLAB colours"}
 _REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
 _MOST_PAGES = 64  # read at most; a damaged file may claim any number
 _FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: unsigned, signed, floating, undefined
 _JPEGS = (6, 7)  # compressions
 # Compressions that every OpenImageIO decodes; a failure with others means unsupported.
 _USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
-_SHADOW = 6.0 / 29.0  # where CIE L*'s cube root begins (CIE 15:2004, 8.2.1.1)
 
 
 @dataclass(frozen=True)
@@ -42,12 +41,8 @@ class _Page:
 
     index: int = 0
     """Index of the page."""
-    photometric: int = -1
-    """PhotometricInterpretation; -1 for a PNG."""
     compression: tuple[str, bool] = ("", True)
     """Name of the compression, and whether it is in _USUAL."""
-    profile: bytes | None = None
-    """ICC profile of a TIFF, or None."""
     orientation: int | None = None
     """EXIF's, of a page other than the first; None is the file's."""
     notes: tuple[str, ...] = ()
@@ -67,7 +62,6 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
     with decoding(path, form):
         config = oiio.ImageSpec()
         config.attribute("oiio:UnassociatedAlpha", 1)  # colours not multiplied by alpha
-        config.attribute("oiio:RawColor", int(page.photometric in (_INKS, _LAB, _ICC_LAB)))
         source = oiio.ImageInput.open(str(path), config)
         if source is None:
             forget_error(oiio.geterror)  # or it is printed at exit
@@ -77,7 +71,7 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
             raise _broken(path, form, page)
         spec = source.spec()
     check_size(path, spec.width, spec.height)
-    alpha = spec.alpha_channel if page.photometric != _INKS else -1
+    alpha = spec.alpha_channel
     stored = _stored_type(spec.format)
     dtype = np.dtype("float32" if stored == "float" else stored)
     in_strips = alpha < 0 and dtype.kind == "u" and not spec.tile_width
@@ -95,14 +89,11 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
             return whole[top:bottom]
 
     coded = Coded(
-        rows
-        if page.photometric == _INKS
-        else lambda top, bottom: three_channels(rows(top, bottom)),
+        lambda top, bottom: three_channels(rows(top, bottom)),
         spec.width,
         spec.height,
         dtype,
         _color(path, page.index, dtype),
-        _other(path, page, spec.nchannels, dtype),
         opacity=opacity,
         notes=notes,
     )
@@ -159,16 +150,12 @@ def _page_of(path: Path) -> _Page:
         larger = [sub for sub in inside if sub.imagewidth * sub.imagelength > sizes[chosen]]
         photometric, code = int(page.photometric), int(page.compression)
         samples = int(page.samplesperpixel)
-        bands = samples - len(page.extrasamples)
         name = str(getattr(page.compression, "name", code)).upper()
         bits, form = int(page.bitspersample), int(page.sampleformat)
-        profile = page.tags.get(34675)
         equal = sum(sizes[index] == sizes[chosen] for index in whole)
         known = _Page(
             chosen,
-            photometric,
             (name, code in _USUAL and not (code in _JPEGS and bits != 8)),
-            None if profile is None else bytes(profile.value),
             _orientation(page) if chosen else None,
             (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
         )
@@ -178,8 +165,8 @@ def _page_of(path: Path) -> _Page:
         raise unsupported(path, "a TIFF whose picture is in a sub-directory behind a smaller one")
     if photometric in _GREYS and samples > 2:  # two are grey and its alpha
         raise unsupported(path, f"a TIFF of {samples} bands that are not named red, green and blue")
-    if photometric == _INKS and bands != 4:
-        raise unsupported(path, f"a TIFF of {bands} inks")
+    if photometric in _NO_RGB:
+        raise unsupported(path, f"a TIFF of {_NO_RGB[photometric]}")
     return known
 
 
@@ -200,48 +187,6 @@ def _color(path: Path, page: int, dtype: np.dtype[Any]) -> StatedColor:
     # Floating point is linear, in the stated primaries, unless there is a profile.
     space = ColorSpace(LINEAR.name, LINEAR.curves, color.space.matrix)
     return StatedColor(color.profile, space, color.notes)
-
-
-def _other(
-    path: Path, page: _Page, channels: int, dtype: np.dtype[Any]
-) -> tuple[Linearise, tuple[str, ...]] | None:
-    """Lineariser of colours other than RGB, with notes; None for RGB and grey."""
-    if page.photometric == _INKS:
-        return inks(path, page.profile, dtype)
-    if page.photometric not in (_LAB, _ICC_LAB):
-        return None
-    if channels < 3 or dtype.kind != "u":
-        raise unsupported(path, "CIELAB in floating point or without colours")
-    lab = lab_of if page.photometric == _LAB else icc_lab_of
-    return lambda codes: lab_light(lab(codes)), ("Colours converted from CIELAB (D50) to Rec.709.",)
-
-
-def lab_of(codes: NDArray[Any]) -> NDArray[np.float32]:
-    """L*, a*, b* of TIFF's CIELAB, 8 or 16 bits: a* and b* are signed (TIFF 6.0, section 23)."""
-    largest = np.iinfo(codes.dtype).max
-    lightness = codes[..., :1].astype(np.float32) * np.float32(100.0 / largest)
-    signed = codes[..., 1:3].astype(codes.dtype.str.replace("u", "i")).astype(np.float32)
-    return np.concatenate([lightness, signed * np.float32(1.0 if largest == 255 else 1 / 256)], -1)
-
-
-def icc_lab_of(codes: NDArray[Any]) -> NDArray[np.float32]:
-    """L*, a*, b* of TIFF's ICCLAB, 8 or 16 bits: a* and b* have an offset (ICC.1:2001-04)."""
-    small = np.iinfo(codes.dtype).max == 255
-    unit = np.float32(1.0 if small else 1.0 / 256.0)
-    lightness = codes[..., :1].astype(np.float32) * np.float32(
-        100.0 / (255.0 if small else 65280.0)
-    )
-    return np.concatenate([lightness, codes[..., 1:3].astype(np.float32) * unit - 128.0], -1)
-
-
-def lab_light(lab: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Linear Rec.709 of CIELAB relative to D50 (CIE 15:2004, 8.2.1), at least 0."""
-    y = (lab[..., 0] + 16.0) / 116.0
-    roots = np.stack([y + lab[..., 1] / 500.0, y, y - lab[..., 2] / 200.0], axis=-1)
-    linear = 3.0 * _SHADOW**2 * (roots - 4.0 / 29.0)
-    relative = np.where(roots > _SHADOW, roots**3, linear)
-    xyz = relative * REC709_TO_D50.sum(axis=1)
-    return np.maximum(xyz @ np.linalg.inv(REC709_TO_D50).T, 0.0).astype(np.float32)
 
 
 def _stored_type(form: Any) -> str:  # noqa: ANN401

@@ -16,10 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError
 from matcap.files import bmff
-from matcap.files.color import Linearise
-from matcap.files.icc import inks_lineariser_of
 from matcap.files.jpeg_coding import unsupported_jpeg
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo.developed import Coded, decode, three_channels
@@ -42,8 +39,7 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
     """Read a JPEG, the first of several pictures, without its gain map.
 
     Raises:
-        MatcapError: truncated, damaged, too small, too large, of 12 bits, or CMYK without a usable
-            profile.
+        MatcapError: truncated, damaged, too small, too large, of 12 bits, or CMYK.
     """
     from PIL.JpegImagePlugin import JpegImageFile
 
@@ -57,14 +53,11 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         if size[0] * size[1] > _LARGE and long_side is not None and 2 * long_side <= max(size):
             image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
         image.load()
-    profile = image.info.get("icc_profile")
-    other = inks(path, profile, np.dtype(np.uint8)) if image.mode == "CMYK" else None
-    if other is None and image.mode not in _MODES:
+    if image.mode not in _MODES:
         raise unsupported(path, f"a JPEG of {image.mode} colours")
 
     def rows(top: int, bottom: int) -> NDArray[Any]:
-        strip = np.asarray(image.crop((0, top, image.width, bottom)))
-        return three_channels(strip) if other is None else strip
+        return three_channels(np.asarray(image.crop((0, top, image.width, bottom))))
 
     coded = Coded(
         rows,
@@ -72,7 +65,6 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         image.height,
         np.dtype(np.uint8),
         stated_color(path),
-        other,
         _LOSSY_CLIP,
         size=size,
         notes=_hdr_notes(path),
@@ -148,24 +140,6 @@ def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
     exif = replace(read_exif(info.get("exif") or b""), orientation=1)
     size = (coded.width, coded.height)
     return decode(coded, long_side, str(path), 1), with_camera_matrix(exif, _properties(path), size)
-
-
-def inks(
-    path: Path, profile: bytes | None, dtype: np.dtype[Any]
-) -> tuple[Linearise, tuple[str, ...]]:
-    """Lineariser of a CMYK file, with notes.
-
-    Raises:
-        MatcapError: the file has no usable profile.
-    """
-    lineariser = inks_lineariser_of(profile, dtype) if profile else None
-    if lineariser is None:
-        raise MatcapError.at(
-            path,
-            "the picture's colours are inks (CMYK), and no profile in it says how they look",
-            "export it as RGB",
-        )
-    return lineariser
 
 
 def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int, int]) -> Exif:

@@ -51,15 +51,8 @@ class DecoderConfig:
     """3 x 3 convolutions per block on the way down and on the way up."""
     cells: int = 0
     """Channels of noise that is constant over each lattice cell (lattice_channels.py)."""
-    structured_channels: int = 0
-    """Channels of structured noise (structured_noise.py) at full resolution."""
     drawing: int = 0
     """Channels of the drawing (drawing.py): DRAWING_CHANNELS, or 0 as in the paper."""
-
-    @property
-    def inputs(self) -> int:
-        """Input channels of the way down."""
-        return self.noise_channels + self.structured_channels
 
     @property
     def lattice_channels(self) -> int:
@@ -147,7 +140,7 @@ class Decoder(nn.Module):
         self.config = config
         widths = config.widths
         down, up = [], []
-        channels = config.inputs
+        channels = config.noise_channels
         for width in widths:
             down.append(_block(channels, width, config.convolutions[0]))
             channels = width
@@ -194,7 +187,8 @@ class Decoder(nn.Module):
         """Raw outputs (B, OUTPUTS, H, W) of a random field, float32.
 
         Args:
-            field: noise (B, config.inputs, H, W) and lattice, H and W multiples of ALIGNMENT.
+            field: noise (B, config.noise_channels, H, W) and lattice, H and W multiples of
+                ALIGNMENT.
             code: (CODE_SIZE,) latent vector.
             moments: frozen statistics, one a layer; None computes them from the features.
             periodic: decode as a torus; otherwise a halo at the borders is not valid.

@@ -46,7 +46,6 @@ def reference_field(
         waves,
         levels=DEPTH,
         cells=config.cells,
-        structured=config.structured_channels,
     )
     if drawing is None:
         return field
@@ -94,8 +93,6 @@ class FoldedDecoder:
 
     noise_channels: int
     """Input channels of white noise."""
-    structured_channels: int
-    """Input channels of structured noise."""
     cells: int
     """Input channels of cell noise; 0 without a lattice."""
     has_waves: bool
@@ -187,7 +184,6 @@ def fold(
             below = skip
         return FoldedDecoder(
             noise_channels=decoder.config.noise_channels,
-            structured_channels=decoder.config.structured_channels,
             cells=decoder.config.cells if has_waves else 0,
             has_waves=has_waves,
             down=down,

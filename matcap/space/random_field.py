@@ -1,4 +1,4 @@
-"""The decoder's input: white noise, structured noise, lattice channels and a drawing."""
+"""The decoder's input: white noise, lattice channels and a drawing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from torch import Tensor
 from matcap.space.lattice_channels import lattice_field
 from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.structured_noise import structured_field
 from matcap.statistics.lattice import Wave
 
 
@@ -19,7 +18,7 @@ class RandomField:
     """Inputs of a decoder."""
 
     noise: Tensor
-    """(B, noise_channels + structured_channels, H, W): white, then structured noise."""
+    """(B, noise_channels, H, W) white noise."""
     waves: tuple[Tensor, ...]
     """Lattice channels of each level k, (B, WAVE_CHANNELS + cells, H / 2^k, W / 2^k)."""
     drawing: tuple[Tensor, ...] = ()
@@ -40,7 +39,6 @@ def random_field(
     *,
     levels: int,
     cells: int = 0,
-    structured: int = 0,
 ) -> RandomField:
     """Inputs of a decoder for one rectangle, as a batch of one.
 
@@ -48,7 +46,7 @@ def random_field(
         patch: of level 0; its sides, corner and period are multiples of 2^levels.
         levels: that have lattice channels.
     """
-    noise = noise_of(patch, noise_channels, structured)[None]
+    noise = noise_field(patch, noise_channels)[None]
     return RandomField(noise, lattice_levels(patch, waves, cells, levels))
 
 
@@ -57,17 +55,3 @@ def lattice_levels(
 ) -> tuple[Tensor, ...]:
     """Lattice channels of a patch at the finest `levels` levels; see RandomField.waves."""
     return tuple(lattice_field(patch.at_level(k), waves, cells)[None] for k in range(levels))
-
-
-def noise_of(patch: Patch, white: int, structured: int) -> Tensor:
-    """(white + structured, height, width) noise of a patch of level 0, in channels_last format.
-
-    Args:
-        patch: of level 0.
-        white, structured: numbers of channels; structured ones are the first of structured_field.
-    """
-    noise = noise_field(patch, white)
-    if not structured:
-        return noise
-    joined = torch.cat([noise, structured_field(patch)[:structured]])
-    return joined.permute(1, 2, 0).contiguous().permute(2, 0, 1)

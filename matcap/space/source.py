@@ -18,8 +18,9 @@ from matcap.space.decoder import ALIGNMENT, maps_from_raw
 from matcap.space.drawing import Drawing
 from matcap.space.freeze import FoldedDecoder
 from matcap.space.lattice_channels import lattice_field
+from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.random_field import RandomField, noise_of
+from matcap.space.random_field import RandomField
 from matcap.space.spans import Spans, spans_of
 from matcap.statistics.lattice import Wave
 
@@ -47,11 +48,10 @@ def spans_of_block(block: Rectangle, convolutions: tuple[int, int]) -> BlockSpan
 
 
 def read_noise(source: DecoderSource, spans: BlockSpans) -> Tensor:
-    """(1, white + structured, H, W) noise of a block's spans."""
+    """(1, noise_channels, H, W) noise of a block's spans."""
     part = spans.rectangle(spans.rows.down[0], spans.columns.down[0])
     patch = Patch(source.seed, part, period=source.period, device=source.device)
-    decoder = source.decoder
-    return noise_of(patch, decoder.noise_channels, decoder.structured_channels)[None]
+    return noise_field(patch, source.decoder.noise_channels)[None]
 
 
 def read_lattice(source: DecoderSource, spans: BlockSpans) -> tuple[Tensor, ...]:

@@ -9,9 +9,7 @@ from typing import Any
 import torch
 
 from matcap.space.decoder import DEPTH, DRAWING_CHANNELS, Decoder, DecoderConfig
-from matcap.space.structured_noise import STRUCTURED_CHANNELS
 
-_STRUCTURED = "grains"  # name of structured_channels in files
 # Limits of the memory that a hostile file can claim.
 _LARGEST_WIDTH = 1024  # channels
 _MOST_CELLS = 64  # channels at full resolution
@@ -29,16 +27,15 @@ def decoder_config(stated: Mapping[str, Any]) -> DecoderConfig:
         widths=tuple(int(width) for width in stated["widths"]),
         convolutions=(int(stated["convolutions"][0]), int(stated["convolutions"][1])),
         cells=int(stated["cells"]),
-        structured_channels=int(stated.get(_STRUCTURED, 0)),  # absent in the shipped prior
-        drawing=int(stated.get("drawing", 0)),  # likewise
+        drawing=int(stated.get("drawing", 0)),  # absent in the shipped prior
     )
     sizes = (config.noise_channels, *config.widths)
     if len(config.widths) != DEPTH + 1 or not all(1 <= s <= _LARGEST_WIDTH for s in sizes):
         raise ValueError(f"widths {config.widths} are not {DEPTH + 1} of at most {_LARGEST_WIDTH}")
     if not 0 <= config.cells <= _MOST_CELLS:
         raise ValueError(f"{config.cells} channels of cells")
-    if not 0 <= config.structured_channels <= STRUCTURED_CHANNELS:
-        raise ValueError(f"{config.structured_channels} channels of structured noise")
+    if stated.get("grains", 0) != 0:  # of earlier versions, by recipes that asked for it
+        raise ValueError("a decoder of structured noise")
     if config.drawing not in (0, DRAWING_CHANNELS):
         raise ValueError(f"{config.drawing} channels of a drawing")
     if not all(1 <= count <= 4 for count in config.convolutions):
@@ -51,7 +48,7 @@ def config_document(config: DecoderConfig) -> dict[str, Any]:
     document = asdict(config)
     if not config.drawing:
         del document["drawing"]
-    return document | {_STRUCTURED: document.pop("structured_channels")}
+    return document
 
 
 def empty_decoder(config: DecoderConfig) -> Decoder:

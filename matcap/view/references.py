@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcap.capture.report_file import read_report
 from matcap.example.example import Example
+from matcap.files.document import read_document
 from matcap.files.picture import jpeg_bytes
 from matcap.files.png import png_bytes
 from matcap.photo.kind import RAW_SUFFIXES
@@ -76,7 +76,7 @@ def find_references(
     file = photo or find_photograph(path, name) or reported_photograph(folder)
     example = material.part(Example) if material else None
     setup = material.setup if material and example else None
-    report = read_report(folder / "report.json") or {}
+    report = read_document(folder / "report.json", "matcap report") or {}
     tone = ToneCurve.of_report(report)
     return References(
         browser_picture(file, setup, tone) if file else None,
@@ -98,7 +98,7 @@ def find_photograph(path: Path, name: str) -> Path | None:
 def reported_photograph(folder: Path) -> Path | None:
     """The photograph whose path a capture's report has, if it exists."""
     try:
-        file = Path((read_report(folder / "report.json") or {})["photograph"]["path"])
+        file = Path((read_document(folder / "report.json") or {})["photograph"]["path"])
     except (KeyError, TypeError):
         return None
     return file if file.is_file() else None
@@ -107,7 +107,7 @@ def reported_photograph(folder: Path) -> Path | None:
 def read_verdict(folder: Path) -> tuple[str, str] | None:
     """(rating, sentence) of the verdict in a capture's report, or None."""
     try:
-        verdict = (read_report(folder / "report.json") or {})["verdict"]
+        verdict = (read_document(folder / "report.json") or {})["verdict"]
         return str(verdict["rating"]), str(verdict["sentence"])
     except (KeyError, TypeError):
         return None

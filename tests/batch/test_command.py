@@ -65,7 +65,9 @@ def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, t
         (["SHOOT", "--generator", "decoder", "--prior", "no.safetensors"], 3, "no such prior"),
     ],
 )
-def test_what_is_wrong_is_said_before_any_work(shoot, tmp_path, capsys, arguments, code, word):
+def test_wrong_settings_are_reported_before_any_work(
+    shoot, tmp_path, capsys, arguments, code, word
+):
     arguments = [str(shoot) if a == "SHOOT" else a for a in arguments]
     assert main(["batch", *arguments, "-o", str(tmp_path / "out")]) == code
     assert word in capsys.readouterr().err
@@ -96,7 +98,7 @@ def test_memory_grows_with_photograph_detail_and_map_set(shoot):
     assert photo_pixels(shoot / "leather.dng") == (128 * 96, True)
 
 
-def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
+def test_without_a_terminal_each_finished_sample_prints_a_line(tmp_path):
     said = io.StringIO()
     shown = BatchDisplay(Console(file=said, width=200), None, quiet=False)
     shown.expect(2)
@@ -112,9 +114,7 @@ def test_on_a_dumb_terminal_a_line_tells_of_each_end(tmp_path):
     assert lines[1] == "[2/2] c: failed"
 
 
-def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_identity(
-    shoot, tmp_path, monkeypatch
-):
+def test_a_calibration_card_is_no_sample_and_part_of_the_identity(shoot, tmp_path, monkeypatch):
     seen = []
 
     def read(path, fov=None):
@@ -134,7 +134,7 @@ def test_a_card_in_the_shoot_is_no_sample_and_what_it_tells_is_part_of_the_ident
     assert len(none.entries) == 2
 
 
-def test_a_cards_millimetres_are_the_materials():
+def test_the_cards_scale_becomes_the_materials():
     card = Calibration("card.dng", "digest", millimetres_per_unit=120.0)
     assert measured(CaptureSettings(), card).millimetres_per_unit == 120.0
     assert measured(CaptureSettings(width_cm=10.0), card).millimetres_per_unit == 50.0

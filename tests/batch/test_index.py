@@ -65,7 +65,7 @@ def test_the_page_fetches_nothing_and_escapes_everything(tmp_path):
     assert "http://" not in page and "https://" not in page and "@ROWS@" not in page
 
 
-def test_what_was_noticed_when_reading_is_shown(tmp_path):
+def test_notes_of_reading_are_shown(tmp_path):
     written(tmp_path)
     assert "<li>The file states no white balance: daylight" in (tmp_path / "index.html").read_text()
 

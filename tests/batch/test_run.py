@@ -121,7 +121,7 @@ def test_everything_is_made_once_and_kept_the_next_time(batch):
     assert set(states(entries).values()) == {"made"}
 
 
-def test_what_changes_is_made_again_and_nothing_else(batch, shoot, tmp_path):
+def test_only_changed_photographs_are_captured_again(batch, shoot, tmp_path):
     batch()
     (shoot / "b.jpg").write_text("changed")
     (tmp_path / "out/c/preview.png").unlink()
@@ -194,7 +194,7 @@ def test_a_full_disk_ends_the_batch_and_the_next_goes_on(batch):
     assert [job.name for job in workers.jobs] == ["b", "c", "d"] and exit_code(entries) == 0
 
 
-def test_no_room_is_seen_before_the_work(batch, monkeypatch):
+def test_a_full_disk_is_noticed_before_a_capture_starts(batch, monkeypatch):
     from collections import namedtuple
 
     usage = namedtuple("usage", "total used free")
@@ -226,7 +226,7 @@ def test_an_interrupt_stops_the_workers_and_leaves_the_rest(shoot, tmp_path):
         (ValueError("a bug"), "crash"),
     ],
 )
-def test_whatever_goes_wrong_in_a_worker_comes_back_as_a_failure(batch, monkeypatch, error, kind):
+def test_every_exception_of_a_worker_is_returned_as_a_failure(batch, monkeypatch, error, kind):
     def fail(*args, **kwargs):
         raise error
 
@@ -262,12 +262,12 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
-def test_two_kills_leave_nothing_torn_and_the_same_result(tmp_path):
+def test_a_batch_killed_twice_and_resumed_gives_the_same_files(tmp_path):
     tally = torture(tmp_path, kills=2, photographs=2, jobs=1, seed=2)
     assert tally.kills == 2 and tally.complete >= 1
 
 
-def test_an_interrupt_after_the_last_material_is_said(tmp_path, monkeypatch, capsys):
+def test_an_interrupt_after_the_last_material_is_reported(tmp_path, monkeypatch, capsys):
     shoot = tmp_path / "shoot"
     shoot.mkdir()
     cv2.imwrite(str(shoot / "a.jpg"), np.full((96, 128, 3), 128, np.uint8))

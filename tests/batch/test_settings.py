@@ -28,7 +28,7 @@ def test_settings_by_name_and_back():
     assert settings.capture.time_limit == 5.0 and settings.outputs.targets == ("gltf",)
 
 
-def test_the_file_in_the_shoot_wins_over_the_one_beside_it(tmp_path):
+def test_the_file_in_the_folder_wins_over_its_parents(tmp_path):
     (tmp_path / "shoot").mkdir()
     (tmp_path / "matcap.toml").write_text("detail = 512\n")
     assert settings_of(tmp_path / "shoot", {}).capture.detail == 512
@@ -36,14 +36,14 @@ def test_the_file_in_the_shoot_wins_over_the_one_beside_it(tmp_path):
     assert settings_of(tmp_path / "shoot", {}).capture.detail == 256
 
 
-def test_a_prior_is_found_beside_the_file(tmp_path):
+def test_a_prior_is_relative_to_the_file(tmp_path):
     (tmp_path / "matcap.toml").write_text('prior = "mine.safetensors"\n')
     assert settings_of(tmp_path, {}).capture.prior == str(tmp_path / "mine.safetensors")
     (tmp_path / "matcap.toml").write_text('prior = "none"\n')
     assert settings_of(tmp_path, {}).capture.prior == "none"
 
 
-def test_weights_are_found_beside_the_file(tmp_path):
+def test_weights_are_relative_to_the_file(tmp_path):
     (tmp_path / "matcap.toml").write_text('statistics = "vgg19=mine.pth"\n')
     assert settings_of(tmp_path, {}).capture.statistics == Statistics(
         "vgg19", tmp_path / "mine.pth"
@@ -71,7 +71,7 @@ def test_weights_are_found_beside_the_file(tmp_path):
         ("a = " + "[" * 20000, "not TOML"),
     ],
 )
-def test_what_is_wrong_is_named_with_the_nearest_right(tmp_path, text, word):
+def test_a_wrong_setting_is_named_with_the_nearest_known_one(tmp_path, text, word):
     (tmp_path / "matcap.toml").write_text(text)
     with pytest.raises(UsageError) as raised:
         settings_of(tmp_path, {})

@@ -49,7 +49,7 @@ def test_a_record_that_cannot_be_read_is_none(tmp_path, text):
     assert not is_done(tmp_path, "i")
 
 
-def test_a_second_making_replaces_the_first_whole_and_keeps_what_others_put_there(tmp_path):
+def test_a_second_capture_replaces_the_first_and_keeps_foreign_files(tmp_path):
     with open_run(tmp_path) as run:
         stage = run.stage("a")
         (stage / "a_extra.png").write_text("of the first only")
@@ -64,7 +64,7 @@ def test_a_second_making_replaces_the_first_whole_and_keeps_what_others_put_ther
     assert os.listdir(tmp_path / WORKSPACE) == ["lock"]
 
 
-def test_output_of_a_plain_capture_makes_room(tmp_path):
+def test_files_of_a_plain_capture_are_replaced(tmp_path):
     (tmp_path / "a").mkdir()
     for name in ("a_diffuse.png", "report.json", "a.matcap", "other.txt"):
         (tmp_path / "a" / name).write_text("old")
@@ -88,14 +88,14 @@ def test_a_second_run_is_refused_while_the_first_lives(tmp_path):
         assert stage.is_dir()
 
 
-def test_what_a_dead_run_had_staged_goes(tmp_path):
+def test_staged_folders_of_a_killed_run_are_deleted(tmp_path):
     dead = dead_run(tmp_path)
     assert list(dead.rglob("a"))
     with open_run(tmp_path):
         assert not list(dead.rglob("a"))
 
 
-def test_what_a_dead_run_had_moved_away_comes_back(tmp_path):
+def test_folders_that_a_killed_run_had_moved_are_restored(tmp_path):
     """Killed between the two renames, or before it had put back what others left there."""
     dead = dead_run(tmp_path)
     for number, name in enumerate(("gone", "here")):
@@ -112,7 +112,7 @@ def test_what_a_dead_run_had_moved_away_comes_back(tmp_path):
     assert (tmp_path / "here/preview.png").read_text() == "new"
 
 
-def test_what_made_room_comes_back_when_its_successor_cannot_come(tmp_path, monkeypatch):
+def test_the_old_folder_is_restored_when_the_new_one_cannot_be_renamed(tmp_path, monkeypatch):
     rename = os.rename
     with open_run(tmp_path) as run:
         folder = make(run, "a", "first")
@@ -130,7 +130,7 @@ def test_what_made_room_comes_back_when_its_successor_cannot_come(tmp_path, monk
         assert (folder / "notes.txt").read_text() == "keep"
 
 
-def test_what_others_put_there_survives_a_failure_to_move_it(tmp_path, monkeypatch):
+def test_foreign_files_survive_a_failure_to_move_them(tmp_path, monkeypatch):
     rename = os.rename
     with open_run(tmp_path) as run:
         folder = make(run, "a", "first")
@@ -151,7 +151,7 @@ def test_what_others_put_there_survives_a_failure_to_move_it(tmp_path, monkeypat
         assert (folder / "notes.txt").read_text() == "keep"
 
 
-def test_failures_are_remembered_and_forgotten(tmp_path):
+def test_failures_are_recorded_and_removed(tmp_path):
     with open_run(tmp_path) as run:
         run.write_failure("a", {"identity": "i", "reason": "black"})
         assert read_failure(tmp_path, "a") == {"identity": "i", "reason": "black"}

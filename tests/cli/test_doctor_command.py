@@ -33,7 +33,7 @@ def without(monkeypatch):
     return hide
 
 
-def test_text_tells_how_to_install_what_is_missing(matcap, without):
+def test_the_text_names_the_command_that_installs_a_missing_extra(matcap, without):
     without("pillow-heif")
     said = matcap("doctor", "--no-self-test")
     assert said.code == 0  # extras are no need

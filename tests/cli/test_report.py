@@ -74,7 +74,7 @@ def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
     assert found["tuning"]["error_over_time"][0] == {"seconds": 0.0, "step": 1, "error": None}
 
 
-def test_its_effort_is_what_was_asked_for(captured):
+def test_the_effort_is_that_of_the_settings(captured):
     effort = {"preset": "standard", "steps": 0, "detail": 96}
     assert report(captured)["effort"] == effort
     decoder = replace(captured, settings=replace(captured.settings, generator="decoder", steps=5))
@@ -85,7 +85,7 @@ def test_its_effort_is_what_was_asked_for(captured):
     }
 
 
-def test_a_limit_that_chooses_the_preset_is_told(captured):
+def test_a_time_limit_that_overrides_the_preset_is_noted(captured):
     usual = report(captured)["notes"]
     assert not any("preset" in note for note in usual)
     limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))

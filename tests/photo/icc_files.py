@@ -49,22 +49,6 @@ def matrix_profile(
     return _assemble(tags, space)
 
 
-def ink_profile() -> bytes:
-    """Cyan, magenta and yellow take red, green and blue light of Rec.709 away; black is nothing."""
-    line = [0, 65535]
-    corners = [
-        sum((1 - bit) * column[axis] for bit, column in zip(bits, REC709_COLORANTS, strict=False))
-        for bits in itertools.product((0, 1), repeat=4)
-        for axis in range(3)
-    ]
-    lut = b"mft2" + bytes(4) + bytes((4, 3, 2, 0)) + _fixed(1, 0, 0, 0, 1, 0, 0, 0, 1)
-    lut += struct.pack(">HH", 2, 2) + 4 * struct.pack(">2H", *line)
-    lut += struct.pack(f">{len(corners)}H", *(round(32768 * value) for value in corners))
-    lut += 3 * struct.pack(">2H", *line)
-    white = b"XYZ " + bytes(4) + _fixed(0.9642, 1.0, 0.8249)
-    return _assemble({b"A2B0": lut, b"A2B1": lut, b"wtpt": white}, b"CMYK")
-
-
 def table_profile(gamma: float) -> bytes:
     """Rec.709 colours with this gamma, told as a table (A2B0) and not as a matrix."""
     curve = [round(65535 * (i / 255) ** gamma) for i in range(256)]

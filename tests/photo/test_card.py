@@ -71,13 +71,13 @@ def calibration(shot, tmp_path_factory):
     return read_card(path)
 
 
-def test_the_board_tells_millimetres_and_tilt(calibration):
+def test_the_board_gives_scale_and_tilt(calibration):
     assert calibration.millimetres_per_unit == pytest.approx(UNIT, rel=0.005)
     true = math.degrees(math.acos(math.cos(TILT[0]) * math.cos(TILT[1])))
     assert calibration.tilt == pytest.approx(true, abs=0.5)
 
 
-def test_the_patches_tell_how_bright_the_flash_is(shot, calibration):
+def test_the_patches_give_the_flash_intensity(shot, calibration):
     distance = shot.setup.distance
     found = math.pi * distance**2 * calibration.white
     assert found == pytest.approx(shot.setup.intensity[0], rel=0.04)
@@ -86,7 +86,7 @@ def test_the_patches_tell_how_bright_the_flash_is(shot, calibration):
     assert calibration.residual < 0.04
 
 
-def test_a_jpeg_gives_millimetres_and_no_colours(shot, tmp_path):
+def test_a_jpeg_gives_scale_and_no_colours(shot, tmp_path):
     write_jpeg(tmp_path / "card.jpg", shot, 1)
     found = read_card(tmp_path / "card.jpg")
     assert found.millimetres_per_unit == pytest.approx(UNIT, rel=0.005)
@@ -117,7 +117,7 @@ def test_albedo_becomes_absolute(calibration, tmp_path):
     assert calibrated(replace(photo, radiometric=False), calibration).flash_intensity is None
 
 
-def test_a_matrix_and_a_falloff_are_found_together():
+def test_colour_matrix_and_falloff_are_fitted_together():
     rng = np.random.default_rng(0)
     true = srgb_decode(np.array(PATCHES) / 255.0)
     response = 0.5 * np.array([[0.8, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, 0.3, 0.7]])

@@ -38,8 +38,8 @@ from matcap.space.decoder import (
 )
 from matcap.space.freeze import freeze
 from matcap.space.lattice_channels import WAVE_CHANNELS
+from matcap.space.noise import noise_field
 from matcap.space.patch import Patch
-from matcap.space.random_field import noise_of
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench.floors import true_exemplar
 from matcap_lab.experiment.results import Value
@@ -135,9 +135,7 @@ def field_costs(network: str, settings: SynthSettings, workers: int, block: str)
     keep_memory()
     subject, (width, height) = material(NETWORKS[network]), settings.size
     config = subject.decoder.config
-    noise = noise_of(
-        Patch(1, Rectangle(0, 0, width, height)), config.noise_channels, config.structured_channels
-    )
+    noise = noise_field(Patch(1, Rectangle(0, 0, width, height)), config.noise_channels)
     noise = noise[None].contiguous()
     source = replace(subject.source(1), grid=Grid(*map(int, block.split("x"))))
 

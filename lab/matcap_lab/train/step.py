@@ -35,7 +35,6 @@ from matcap.space.prior.base import Base, base_of
 from matcap.space.prior.encoder_input import numbers, texture
 from matcap.space.prior.store import Prior
 from matcap.space.random_field import RandomField
-from matcap.space.structured_noise import structured_field
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.encoding import Encoding
 from matcap.statistics.filterbank import FilterBank
@@ -474,13 +473,6 @@ def fields(
     torus = Patch(seed, Rectangle(0, 0, side, side), period=(side, side), device=device)
     noise = noise_field(torus, config.noise_channels * len(waves))
     noise = noise.view(len(waves), config.noise_channels, side, side)
-    if config.structured_channels:
-        seeds = range(seed * len(waves), (seed + 1) * len(waves))
-        structured = [
-            structured_field(replace(torus, seed=one))[: config.structured_channels]
-            for one in seeds
-        ]
-        noise = torch.cat([noise, torch.stack(structured)], dim=1)
 
     def at(level: int, waves: tuple[Wave, ...]) -> Tensor:
         here = side >> level

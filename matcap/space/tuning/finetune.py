@@ -23,9 +23,9 @@ from matcap.field.device import computes_bfloat16
 from matcap.field.plane import Rectangle
 from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, Moments, maps_from_raw
 from matcap.space.freeze import freeze
-from matcap.space.noise import wrap64
+from matcap.space.noise import noise_field, wrap64
 from matcap.space.patch import Patch
-from matcap.space.random_field import RandomField, lattice_levels, noise_of
+from matcap.space.random_field import RandomField, lattice_levels
 from matcap.space.tuning.likeness import PhotographTarget, compare_windows, render_windows, shuffled
 from matcap.space.tuning.penalty import Penalties, map_penalty
 from matcap.space.tuning.renormalise import Renormalisation
@@ -149,9 +149,7 @@ def decode_window(
     margin = MARGIN if scene.waves or lesson else 0
     full = size + 2 * margin
     patch = Patch(seed, Rectangle(0, 0, full, full))
-    noise = noise_of(
-        replace(patch, period=(full, full)), config.noise_channels, config.structured_channels
-    )[None]
+    noise = noise_field(replace(patch, period=(full, full)), config.noise_channels)[None]
     waves = lattice_levels(patch, scene.waves, config.cells, DEPTH)
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         drawing = () if lesson is None else lesson.drawing

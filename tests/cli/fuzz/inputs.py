@@ -32,7 +32,7 @@ from matcap.statistics.lattice import Wave
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "photo"))
-from icc_files import ink_profile, matrix_profile
+from icc_files import matrix_profile
 from materials import a_material
 from random_maps import random_maps
 
@@ -137,7 +137,7 @@ def _write_photographs(folder: Path, codes: np.ndarray) -> list[Path]:
     exif.get_ifd(0x8769).update({0xA405: 26, 0xA001: 65535, 0x920A: 4.0, 0xA20E: 1000.0})
     xmp = b'<x tiff:Orientation="3" exif:FocalLengthIn35mmFilm="26"/>'
     picture.save(place / "a.jpg", exif=exif, xmp=xmp, icc_profile=matrix_profile())
-    picture.convert("CMYK").save(place / "inks.jpg", icc_profile=ink_profile())
+    picture.convert("CMYK").save(place / "inks.jpg")
     cut_out.save(place / "a.png", exif=exif, icc_profile=matrix_profile())
     stated = PngImagePlugin.PngInfo()
     stated.add(b"gAMA", struct.pack(">I", 55_000))

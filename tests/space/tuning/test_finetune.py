@@ -49,13 +49,13 @@ def state_of(tuned):
     return tuned.decoder.state_dict()
 
 
-def test_the_error_falls_on_noise_it_has_never_seen():
+def test_the_error_falls_on_new_noise():
     before = error_at_the_start()
     tuned = tune(steps=80)
     assert error_of(tuned.decoder, list(tuned.moments)) < 0.8 * before
 
 
-def test_what_it_hands_back_is_what_it_optimised():
+def test_the_returned_decoder_is_the_optimised_one():
     """Frozen statistics belong to the decoder: folded, it is the same network."""
     tuned = tune(steps=80)
     folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
@@ -162,7 +162,7 @@ def test_without_a_finite_step_the_decoder_stays_as_it_was(monkeypatch, how):
         assert torch.equal(value, before[name])
 
 
-def test_gloss_that_varies_for_nothing_is_paid_for():
+def test_variation_of_gloss_is_penalised():
     even = torch.full((1, 1, 16, 16), 0.3)
     uneven = even + 0.1 * torch.rand((1, 1, 16, 16), generator=torch.Generator().manual_seed(1))
     diffuse = torch.full((1, 3, 16, 16), 0.3)
@@ -178,7 +178,7 @@ def test_gloss_that_varies_for_nothing_is_paid_for():
     assert paid(even + 0.2, even, expected) > paid(even + 0.1, even, expected) > flat
 
 
-def test_specks_are_paid_for_in_the_second_half_and_patches_never():
+def test_outliers_are_penalised_in_the_second_half_and_patches_never():
     weights = Penalties(specular=0.0)
     row = torch.arange(64)
     everywhere = torch.full((1, 3, 64, 64), 0.3)
@@ -206,7 +206,7 @@ COPPER = torch.tensor([0.955, 0.638, 0.538])[:, None, None]
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_a_coloured_f0_pays_what_its_mean_does(share):
+def test_a_coloured_f0_has_the_penalty_of_its_mean(share):
     draw = torch.rand(2, 6, 16, 24, generator=torch.Generator().manual_seed(1)) * 0.5 + 0.2
     grey = MapSet.from_stacked(draw, 0.1)
     coloured = replace(grey, specular=grey.specular * COPPER / COPPER.mean())

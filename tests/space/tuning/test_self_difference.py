@@ -11,7 +11,7 @@ from matcap.statistics.compare import Weights, distance
 SEEN = scene()
 
 
-def test_the_self_difference_is_what_windows_side_by_side_differ_by():
+def test_the_self_difference_is_that_of_adjacent_windows():
     """Neither 0, as overlapping ones would have it, nor what unlike textures are apart."""
     own = self_difference(SEEN.windows, Weights())
     assert 0.1 < own < 2.0
