@@ -65,9 +65,9 @@ def test_explain_and_json(run):
     assert lines[0].split() == ["effect", "tiles", "bound", "ms", "reason"]
     assert any(line.startswith("shadows") for line in lines)
     assert any(line.split()[:2] == ["area", "off"] for line in lines)
-    code, out, err = run("m", "--json", "-o", "a.png", "--effects", "none,+diffuse")
+    code, out, err = run("m", "--json", "-o", "b.png", "--effects", "none,+diffuse")
     report = json.loads(out)
-    assert (code, err, report["out"]) == (0, "", "a.png")
+    assert (code, err, report["out"]) == (0, "", "b.png")
     assert [row["effect"] for row in report["plan"] if row["on"]] == ["diffuse"]
 
 
@@ -86,7 +86,9 @@ def test_the_map_of_tiles_shows_a_panel_for_each_effect_that_ran(run, tmp_path):
 
 def test_tolerance_and_effects_reach_the_plan(run):
     plans = [
-        json.loads(run("m", "--json", "-o", "a.png", "--tolerance", tolerance)[1])["plan"]
+        json.loads(run("m", "--json", "-o", f"{tolerance}.png", "--tolerance", tolerance)[1])[
+            "plan"
+        ]
         for tolerance in ("0", "1e9")
     ]
     assert sum(row["on"] for row in plans[0]) > 0
@@ -127,7 +129,7 @@ def test_foreign_maps(run, tmp_path):
     assert code == 0
     assert "which way green points" in err
     assert cv2.imread("a.png").shape == (8, 8, 3)
-    assert "green" not in run("--maps-from", "bricks", "--normal", "dx", "-o", "a.png")[2]
+    assert "green" not in run("--maps-from", "bricks", "--normal", "dx", "-o", "b.png")[2]
 
 
 @pytest.mark.parametrize(
