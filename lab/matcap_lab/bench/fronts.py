@@ -32,9 +32,10 @@ from matcap.example.example import Example
 from matcap.field.material import Material
 from matcap.files.picture import write_picture
 from matcap.files.srgb import srgb_decode_tensor
+from matcap_lab.bench import relight
 from matcap_lab.experiment import clocked
 from matcap_lab.experiment.page import Presentation
-from matcap_lab.experiment.results import Value
+from matcap_lab.experiment.results import Value, read
 from matcap_lab.experiment.runner import Configuration, Experiment, choose
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap_lab.measures.style import Patches, RandomFilters, Style
@@ -365,3 +366,27 @@ def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:
     shown = torch.cat([pictures[light] for light in _SHOWN], dim=1)
     linear = srgb_decode_tensor(shown).permute(1, 2, 0).contiguous().numpy()
     write_picture(linear, folder / f"{name}.png")
+
+
+# Tables that `matcap-lab bench report` presents.
+PRESENTATIONS: Mapping[str, Presentation] = MappingProxyType(
+    {
+        "fronts": PRESENTATION,
+        "relight": relight.PLAN,
+        "tolerances": relight.TOLERANCE,
+    }
+)
+
+
+def presentation_of(table: Path) -> Presentation:
+    """Presentation of the experiment that wrote a CSV.
+
+    Raises:
+        MatcapError: it is empty or missing, or its experiment is not part of the report.
+    """
+    rows = read(table)
+    if not rows or rows[0].experiment not in PRESENTATIONS:
+        what = f"bench {rows[0].experiment} is not reported" if rows else "no rows stand in it"
+        remedy = f"give a CSV of {', '.join(PRESENTATIONS)}"
+        raise MatcapError.at(table, what, remedy)
+    return PRESENTATIONS[rows[0].experiment]

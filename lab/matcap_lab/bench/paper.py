@@ -52,8 +52,7 @@ from matcap.statistics.gram import gram
 from matcap_lab.experiment.results import Mean, Trial, Value, columns_of, markdown, means, shown
 from matcap_lab.experiment.runner import Configuration, Experiment
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap_lab.measures.networks import Vgg16Style
-from matcap_lab.measures.nsd import style_distance
+from matcap_lab.measures.nsd import Vgg16Style, style_distance
 from matcap_lab.measures.style import (
     RandomFilters,
     Style,

@@ -112,7 +112,7 @@ def floors(
     """
     from matcap_lab.bench import floors as of
     from matcap_lab.measures.evaluator import EvaluationSettings
-    from matcap_lab.measures.networks import WEIGHTS
+    from matcap_lab.measures.nsd import WEIGHTS
     from matcap_lab.simulate.hand_held import Hand, downward
     from matcap_lab.simulate.photograph import PhoneCamera
     from matcap_lab.simulate.specimen import subjects
@@ -420,7 +420,7 @@ def report(
 
     Text under the existing page's last heading is kept.
     """
-    from matcap_lab.bench.presentations import presentation_of
+    from matcap_lab.bench.fronts import presentation_of
     from matcap_lab.experiment.page import write_page
     from matcap_lab.experiment.results import command_line
 

@@ -26,8 +26,7 @@ from matcap.files.rec709 import LUMINANCE
 from matcap.files.srgb import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.render import shade
-from matcap_lab.measures.networks import WEIGHTS, SqueezeNet
-from matcap_lab.measures.nsd import SqueezeNetStyle, StyleRatio
+from matcap_lab.measures.nsd import WEIGHTS, SqueezeNet, SqueezeNetStyle, StyleRatio
 from matcap_lab.measures.style import Style
 from matcap_lab.simulate.photograph import PhoneCamera, in_strips
 from matcap_lab.simulate.specimen import Specimen

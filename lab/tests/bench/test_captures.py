@@ -30,6 +30,7 @@ from matcap_lab.bench.fronts import (
     command_of,
     command_spent,
     fronts_experiment,
+    presentation_of,
     preset_ways,
 )
 from matcap_lab.bench.paper import (
@@ -43,7 +44,6 @@ from matcap_lab.bench.paper import (
     paper_page,
     random_features,
 )
-from matcap_lab.bench.presentations import presentation_of
 from matcap_lab.cli.main import main
 from matcap_lab.experiment import clocked
 from matcap_lab.experiment.page import BY_HAND, write_page

@@ -15,8 +15,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.photo.load import load_photo
 from matcap_lab.bench.floors import photo_as_albedo
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator, map_statistics, relight_all
-from matcap_lab.measures.networks import SqueezeNet
-from matcap_lab.measures.nsd import SqueezeNetStyle
+from matcap_lab.measures.nsd import SqueezeNet, SqueezeNetStyle
 from matcap_lab.measures.style import RandomFilters, difference
 from matcap_lab.simulate.photograph import PhoneCamera, as_photo
 from matcap_lab.simulate.specimen import EXAMPLES, USUAL, phone_cone, photograph, subjects

@@ -22,8 +22,7 @@ from matcap_lab.measures.evaluator import (
     mirrored_scene,
     relight_all,
 )
-from matcap_lab.measures.networks import SqueezeNet
-from matcap_lab.measures.nsd import SqueezeNetStyle, StyleRatio, style_distance
+from matcap_lab.measures.nsd import SqueezeNet, SqueezeNetStyle, StyleRatio, style_distance
 from matcap_lab.measures.style import (
     BINS,
     Group,
