@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from matcap.capture.settings import PRESETS, UNLIMITED, CaptureSettings, resolve
+from matcap.capture.settings import PRESETS, UNLIMITED, CaptureSettings, check_photographs, resolve
 from matcap.errors import UsageError
 
 
@@ -78,3 +78,8 @@ def test_a_photograph_of_fewer_pixels_has_the_most_that_it_fills():
 def test_an_unknown_preset_is_a_usage_error_that_names_the_presets(name):
     with pytest.raises(UsageError, match=f"'{name}'.*instant, draft, standard"):
         resolve(CaptureSettings(preset=name))
+
+
+def test_a_decoder_of_several_photographs_is_refused():
+    with pytest.raises(UsageError, match="fine-tuned to one photograph"):
+        check_photographs(CaptureSettings(generator="decoder"), 2)
