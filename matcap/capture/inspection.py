@@ -16,12 +16,12 @@ from matcap.capture.tilt import fit_photograph, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.plane import Plane, read_plane
-from matcap.flash.rectify import CLIPPING, picture_of
+from matcap.flash.rectify import picture_of
 from matcap.photo.camera import CameraProfile
 from matcap.photo.checks import CHECKS, Finding
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
-from matcap.photo.photo import Photo
+from matcap.photo.photo import FULL, Photo
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,10 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
 
     A capture's re-rendering is compared with these two.
     """
-    picture, valid = np.minimum(picture_of(plane.linear), 1.0), plane.valid.numpy()
-    inside = valid | (picture > CLIPPING).any(axis=2)
-    profile = highlight_profile((picture, picture), inside, valid, coarse.setup)
+    limit = plane.encoding.limit
+    picture, valid = np.minimum(picture_of(plane.linear), limit), plane.valid.numpy()
+    inside = valid | (picture > FULL * limit).any(axis=2)
+    profile = highlight_profile((picture, picture), inside, valid, coarse.setup, limit)
     if profile is None or not profile.glossy:
         return (CHECKS["highlight"].finding(math.nan),)
     contrast = profile.contrast[0]

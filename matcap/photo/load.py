@@ -110,6 +110,8 @@ def _photo(
         balance=picture.balance,
         camera=exif.camera,
         tone=ToneCurve() if picture.linear else None,
+        headroom=picture.headroom,
+        floating=picture.floating,
     )
     if picture.opacity is None:
         return photo

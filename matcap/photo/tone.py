@@ -49,9 +49,11 @@ class ToneCurve:
         return np.asarray(power / (1.0 + self.shoulder * (power - 1.0)), light.dtype)
 
     def linear(self, picture: NDArray[Any]) -> NDArray[Any]:
-        """The inverse of developed() up to the clip level; beyond it ratios to it are kept."""
+        """The inverse of developed() up to white; beyond it, below a shoulder, ratios are kept."""
         if self == ToneCurve():
             return picture
+        if self.shoulder == 0.0:
+            return np.asarray(np.power(picture, 1.0 / self.exponent), picture.dtype)
         within = np.minimum(picture, 1.0)
         power = within * (1.0 - self.shoulder) / (1.0 - self.shoulder * within)
         light = np.power(power, 1.0 / self.exponent) * np.maximum(picture, 1.0)

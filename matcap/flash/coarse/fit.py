@@ -156,7 +156,9 @@ def _fitted_coarsely(
     problem = Problem(
         cells=cells,
         distance=FlashSetup(fov=photo.fov).distance,
-        measurements=None if highlight is None else HighlightMeasurements(highlight),
+        measurements=None
+        if highlight is None
+        else HighlightMeasurements(highlight, headroom=photo.headroom),
         prior=prior.mean.vector(),
         precision=unit * prior.precision,
         unit=unit,

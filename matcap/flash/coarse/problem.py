@@ -59,6 +59,8 @@ class HighlightMeasurements:
 
     highlight: Highlight
     weight: float = WEIGHT
+    headroom: float = 1.0
+    """Radiance at which the photograph clips."""
 
     @cached_property
     def image(self) -> Tensor:
@@ -81,7 +83,7 @@ class HighlightMeasurements:
         )
         centre = (mirror - numbers(*highlight.centre)) / centre_deviation
         radiance = log_radiance.exp()
-        light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
+        light = radiance.clamp_max(max(self.headroom, highlight.peak)).mean(0).log()  # as the camera clips
         rings = light.unflatten(0, (3, _DIRECTIONS))
         slope = math.log(highlight.contrast) / (2.0 * highlight.width)
         middle = 2.0 * (rings[1] * _circle()).mean(1) / slope
