@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.photo.camera import CameraProfile
-from matcap.photo.tone import ToneCurve
+from matcap.photo.tone import Development, ToneCurve
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
 
@@ -33,6 +33,8 @@ class Decoded:
     headroom: float = 1.0
     """As in Photo."""
     floating: bool = False
+    """As in Photo."""
+    development: Development = Development()
     """As in Photo."""
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
@@ -102,6 +104,8 @@ class Photo:
     and colours outside Rec.709 may exceed it."""
     floating: bool = False
     """Whether the file holds floating-point numbers, which have no quantisation noise."""
+    development: Development = Development()
+    """Prior of the tone curve, where one may be in `pixels`."""
 
     @property
     def full(self) -> NDArray[np.bool_]:

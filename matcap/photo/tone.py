@@ -21,6 +21,23 @@ SHOULDER = 0.27  # w of a developed picture; fitted as well, it hardly moves (do
 
 
 @dataclass(frozen=True)
+class Development:
+    """Prior of a developed picture's tone curve, by default that of a phone's JPEG."""
+
+    log_exponent: float = 0.12
+    """Mean of log c."""
+    deviation: float = 0.08
+    """Standard deviation of log c."""
+    shoulder: float = SHOULDER
+    """w, held."""
+
+
+# Base and HDR gain map together: the shoulder is undone, and dark tones are as in the base, which
+# has nearly no gain there.
+WITH_GAIN_MAP = Development(0.04, 0.05, 0.0)
+
+
+@dataclass(frozen=True)
 class ToneCurve:
     """g with its two numbers; by default the identity."""
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from matcap.flash.coarse.model import INDEX, Unknowns, numbers
 from matcap.photo.camera import Falloff
 from matcap.photo.photo import Photo
+from matcap.photo.tone import Development
 
 # Prior standard deviation of the tilt of a RAW, radians; larger than that of developed pictures,
 # whose tone curve looks like tilt.
@@ -46,7 +47,7 @@ _PRIORS = {
     "tilt": ([0.0] * 2, [0.05] * 2),
     "vignetting": ([0.0] * 2, [1.0] * 2),
     "centre": ([0.0] * 2, [0.2] * 2),
-    "tone": ([0.12], [0.08]),
+    "tone": ([Development().log_exponent], [Development().deviation]),
 }
 _MEAN, _DEVIATION = (
     Unknowns(**{name: numbers(*prior[k]) for name, prior in _PRIORS.items()}) for k in (0, 1)
@@ -100,7 +101,8 @@ def hypothesis(
     """The prior of a photograph's parameters; arguments as of fit_coarse."""
     falloff = Falloff() if photo.profile is None else photo.profile.falloff
     mean = replace(_MEAN, vignetting=numbers(*falloff.mean))
-    deviation = _DEVIATION
+    mean = replace(mean, tone=numbers(photo.development.log_exponent))
+    deviation = replace(_DEVIATION, tone=numbers(photo.development.deviation))
     if conductor:
         mean = replace(mean, albedo=numbers(*[CONDUCTOR_F0.mean] * 3))
         deviation = replace(deviation, albedo=numbers(*[CONDUCTOR_F0.deviation] * 3))
