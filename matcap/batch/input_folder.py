@@ -25,7 +25,7 @@ Taken = Callable[[Path], float | None]
 
 _RAW = {".dng", *RAW_SUFFIXES}
 _CAMERA = (".jpg", ".jpeg", ".heic", ".heif", ".hif", ".avif")  # that cameras write with a RAW
-_OTHER = (".png", ".tif", ".tiff", ".webp")
+_OTHER = (".png", ".tif", ".tiff", ".webp", ".exr", ".hdr")
 # Folders of thumbnails, trash and snapshots that network drives and systems create.
 _NO_SHOOTS = frozenset({
     "@eadir", "@tmp", "@recycle", "@recently-snapshot", "#recycle", "#snapshot", "$recycle.bin",
@@ -112,7 +112,7 @@ def find_samples(
         raise MatcapError.at(
             source,
             "there are no photographs in this folder",
-            "give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG or TIFF files",
+            "give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR files",
         )
     return _named(grouped)
 

@@ -37,7 +37,11 @@ class InspectedPhotograph:
 
 
 def inspect_file(
-    path: Path, detail: int, fov: float | None = None, profile: CameraProfile | None = None
+    path: Path,
+    detail: int,
+    fov: float | None = None,
+    profile: CameraProfile | None = None,
+    white: float | None = None,
 ) -> InspectedPhotograph:
     """Inspect a photograph after the same reading and coarse fit as in a capture.
 
@@ -46,11 +50,12 @@ def inspect_file(
         detail: pixels along its long side.
         fov: field of view along that side, degrees; None for the file's metadata.
         profile: of the camera, or None.
+        white: value of white in floating-point files; None for the file's, or 1.
 
     Raises:
         MatcapError: the file cannot be read, or the coarse fit fails.
     """
-    photo = load_photo(path, long_side=detail, fov=fov, noise=False)
+    photo = load_photo(path, long_side=detail, fov=fov, noise=False, white=white)
     photo = photo if profile is None else photo.known_by(profile)
     photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(

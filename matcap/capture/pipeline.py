@@ -72,7 +72,7 @@ def read_photograph(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             "leave it out: what does not belong to the sample is detected",
         )
-    photo = load_photo(path, long_side=detail, fov=settings.fov)
+    photo = load_photo(path, long_side=detail, fov=settings.fov, white=settings.white)
     if settings.camera is not None:
         photo = photo.known_by(read_camera_profile(settings.camera))
     if several and photo.left_out is not None:

@@ -33,7 +33,8 @@ def capture(
     photos: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PHOTO...", help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF."
+            metavar="PHOTO...",
+            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR.",
         ),
     ],
     out: Annotated[

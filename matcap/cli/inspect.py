@@ -29,11 +29,12 @@ def inspect(
         list[Path],
         typer.Argument(
             metavar="PHOTO...",
-            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF; or a material (.matcap).",
+            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR; or a material "
+            "(.matcap).",
         ),
     ],
     given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
-    captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera"))] = NOTHING,
+    captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "camera", "white"))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
     """Rate photographs before they are captured, with advice for the next one.
@@ -49,7 +50,7 @@ def inspect(
     from matcap.photo.camera import read_camera_profile
 
     detail, together = astuple(chosen(InspectSettings, given))
-    fov, camera = captured.get("fov"), captured.get("camera")
+    fov, camera, white = (captured.get(name) for name in ("fov", "camera", "white"))
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
@@ -62,7 +63,9 @@ def inspect(
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            document, text = _material(path) if of_material else _photo(path, detail, fov, profile)
+            document, text = (
+                _material(path) if of_material else _photo(path, detail, fov, profile, white)
+            )
         except UsageError:
             raise
         except MatcapError as error:
@@ -94,13 +97,17 @@ def inspect(
 
 
 def _photo(
-    path: Path, detail: int, fov: float | None, profile: CameraProfile | None
+    path: Path,
+    detail: int,
+    fov: float | None,
+    profile: CameraProfile | None,
+    white: float | None,
 ) -> tuple[dict[str, Any], str]:
     """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.tilt import tilt_line
 
-    inspected = inspect_file(path, detail, fov, profile)
+    inspected = inspect_file(path, detail, fov, profile, white)
     quality, relief = inspected.quality, inspected.relief_spectrum
     lines = _rated(str(path), quality)
     spectrum = relief.document() if relief else None
