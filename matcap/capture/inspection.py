@@ -9,19 +9,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.tilt import fit_photograph, tilt_document
 from matcap.capture.verdict.highlight import highlight_profile
 from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.geometry import flash_mirror_point
+from matcap.flash.light import FlashLight
 from matcap.flash.plane import Plane, read_plane
 from matcap.flash.rectify import picture_of
+from matcap.flash.render import uniform_radiance
 from matcap.photo.camera import CameraProfile
 from matcap.photo.checks import CHECKS, Finding
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
 from matcap.photo.photo import FULL, Photo
+
+_FEWEST, _MOST = 2, 6  # stops by which another exposure is darker
 
 
 @dataclass(frozen=True)
@@ -96,8 +102,25 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
     contrast = profile.contrast[0]
     bound = f", or more: {profile.clipped[0]:.0%} of the highlight is clipped"
     highlight = CHECKS["highlight"].finding(contrast, bound=bound if profile.bound else "")
+    if profile.bound:
+        highlight = replace(highlight, remedy=_darker(coarse, limit))
     findings = [replace(highlight, value=round(contrast, 3))]
     if profile.glints:
         deviation = math.hypot(*(before for before, _ in profile.glints))
         findings.append(CHECKS["glints"].finding(deviation, variation=math.expm1(deviation)))
     return tuple(findings)
+
+
+def _darker(coarse: CoarseFit, limit: float) -> str:
+    """Advice for a highlight that clips at `limit`: how many stops darker another exposure is.
+
+    By the fitted radiance at the mirror point, which is an estimate beyond the limit.
+    """
+    x, y = flash_mirror_point(coarse.setup)
+    point = torch.tensor([x, y, 0.0])[:, None, None]
+    peak = float(uniform_radiance(coarse, FlashLight.of(coarse.setup, point))[0].max())
+    stops = min(max(math.ceil(math.log2(max(peak / limit, 1.0)) + 0.5), _FEWEST), _MOST)
+    return (
+        f"Take one more photograph {stops} stops darker from the same place, and capture both: "
+        "it measures what is clipped."
+    )

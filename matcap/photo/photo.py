@@ -109,8 +109,10 @@ class Photo:
 
     @property
     def full(self) -> NDArray[np.bool_]:
-        """(H, W, 3) bool, channels at the clip level, whose values are lower bounds."""
-        return self.clipped[..., None] & (self.pixels > FULL * self.headroom)
+        """(H, W, 3) bool, channels whose values are lower bounds: of a clipped pixel those at white
+        or above.
+        """
+        return self.clipped[..., None] & (self.pixels > FULL * min(self.headroom, 1.0))
 
     @property
     def tone_mapped(self) -> bool:
