@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
+from matcap.capture.bracket import find_brackets
 from matcap.capture.outputs import files_written
 from matcap.errors import MatcapError
 from matcap.files.names import series, usable_name
@@ -21,16 +22,18 @@ from matcap.photo.kind import RAW_SUFFIXES
 
 Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
+Brackets = Callable[[Sequence[Path]], list[tuple[Path, ...]]]
 
 _RAW = {".dng", *RAW_SUFFIXES}
 _CAMERA = (".jpg", ".jpeg", ".heic", ".heif", ".hif", ".avif")  # that cameras write with a RAW
-_OTHER = (".png", ".tif", ".tiff", ".webp")
+_OTHER = (".png", ".tif", ".tiff", ".webp", ".exr", ".hdr")
 # Folders of thumbnails, trash and snapshots that network drives and systems create.
 _NO_SHOOTS = frozenset({
     "@eadir", "@tmp", "@recycle", "@recently-snapshot", "#recycle", "#snapshot", "$recycle.bin",
     "__macosx", "system volume information", "lost+found",
     "thumbs", "thumbnails", "_thumbs", "_thumbnails",
 })  # fmt: skip
+_BRACKET_GAP = 5.0  # most seconds from one exposure of a bracket to the next
 _PREVIEWS = (".lrdata", ".cocatalogdb")  # suffixes of photo catalogues' preview folders
 # Parts that Pixel phones add to the names of one shot: PXL_x.RAW-01.COVER.jpg and
 # PXL_x.RAW-02.ORIGINAL.dng; PXL_x.MP.jpg and PXL_x.dng.
@@ -59,6 +62,7 @@ def find_samples(
     gap: float = 10.0,
     without: Iterable[Path] = (),
     taken: Taken | None = None,
+    brackets: Brackets = find_brackets,
 ) -> list[ShotSample]:
     """List the samples of an input folder, sorted by folder and name.
 
@@ -73,6 +77,7 @@ def find_samples(
         gap: in seconds.
         without: files and folders to ignore.
         taken: time of a photograph in seconds, or None; by default from its Exif.
+        brackets: groups photographs taken within seconds by place and exposure; each is a sample.
 
     Raises:
         MatcapError: there is no such folder, it may not be read, or it holds no photographs.
@@ -95,7 +100,7 @@ def find_samples(
         elif group == "time":
             runs = _runs(shots, gap, taken or taken_at)
         else:
-            runs = _by_name(shots) if group == "name" else [[s] for s in shots]
+            runs = _by_name(shots) if group == "name" else _bracketed(shots, taken, brackets)
         for run in runs:
             photos = tuple(photo for photo, _ in run)
             if group == "dir":
@@ -109,7 +114,7 @@ def find_samples(
         raise MatcapError.at(
             source,
             "there are no photographs in this folder",
-            "give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG or TIFF files",
+            "give a folder of DNG, other RAW, JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR files",
         )
     return _named(grouped)
 
@@ -192,6 +197,18 @@ def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]
             runs.append([shot])
         last = when
     return sorted(runs, key=lambda run: run[0][0])
+
+
+def _bracketed(
+    shots: Sequence[_Shot], taken: Taken | None, brackets: Brackets
+) -> list[list[_Shot]]:
+    """Each shot alone, but for the exposures of brackets: neighbours in time by place and light."""
+    every: list[list[_Shot]] = []
+    for run in _runs(shots, _BRACKET_GAP, taken or taken_at):
+        by_path = {shot[0]: shot for shot in run}
+        groups = brackets(list(by_path)) if len(run) > 1 else [tuple(by_path)]
+        every += [[by_path[path] for path in group] for group in groups]
+    return sorted(every, key=lambda run: run[0][0])
 
 
 def _by_name(shots: Sequence[_Shot]) -> list[list[_Shot]]:

@@ -95,9 +95,10 @@ def _fault(error: MatcapError) -> Fault:
 
 
 def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
+    from matcap.capture.bracket import find_brackets
     from matcap.capture.inspection import photograph_quality
     from matcap.capture.outputs import write_outputs
-    from matcap.capture.pipeline import capture_photo, read_photograph
+    from matcap.capture.pipeline import capture_photo, read_exposures
     from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()
@@ -107,8 +108,9 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     if job.detail != chosen.most_detail:
         chosen = replace(chosen, detail=job.detail)
     photos = []
-    for path in job.photos:
-        photo = read_photograph(path, chosen, several=len(job.photos) > 1)
+    groups = find_brackets(job.photos, fov=chosen.fov)
+    for group in groups:
+        photo = read_exposures(group, chosen, several=len(groups) > 1)
         photos.append(photo if job.card is None else calibrated(photo, job.card))
 
     result = capture_photo(photos[0], chosen, on_progress, others=photos[1:])

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from matcap.capture.bracket import find_brackets, merge_bracket
 from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.method import Method
@@ -71,7 +72,7 @@ def read_photograph(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             "leave it out: what does not belong to the sample is detected",
         )
-    photo = load_photo(path, long_side=detail, fov=settings.fov)
+    photo = load_photo(path, long_side=detail, fov=settings.fov, white=settings.white)
     if several and photo.left_out is not None:
         raise MatcapError.at(
             path,
@@ -102,8 +103,10 @@ def capture_into(
     Raises:
         UsageError, MatcapError: as capture_photo; the disk is full; the folder cannot be written.
     """
-    clock = clock_of(settings, progress, len(paths), spent)
-    result = capture_file(paths[0], settings, others=paths[1:], clock=clock)
+    check_photographs(settings, len(paths))  # before anything is read
+    groups = find_brackets([Path(path) for path in paths], fov=settings.fov)
+    clock = clock_of(settings, progress, len(groups), spent)
+    result = _captured(groups, settings, clock)
     with clock.stage("write"), postponed() as stopped:
         write_outputs(result, folder, outputs)
     return replace(result, interrupted=result.interrupted or stopped())
@@ -118,15 +121,34 @@ def capture_file(
 ) -> CaptureResult:
     """Capture the file of a photograph, with `others` of the same sample.
 
-    Arguments and exceptions are those of read_photograph and capture_photo. The result's photograph
-    has the notes on all of them.
+    Exposures from one place are merged into one photograph (bracket.py). Arguments and exceptions
+    are those of read_photograph and capture_photo. The result's photograph has the notes on all of
+    them.
     """
-    paths = [path, *others]
-    clock = clock or clock_of(settings, progress, len(paths))
+    paths = [Path(path), *map(Path, others)]
     check_photographs(settings, len(paths))  # before anything is read
+    groups = find_brackets(paths, fov=settings.fov)
+    return _captured(groups, settings, clock or clock_of(settings, progress, len(groups)))
+
+
+def read_exposures(paths: Sequence[Path], settings: CaptureSettings, *, several: bool) -> Photo:
+    """Read a photograph, or the exposures of a bracket merged into one.
+
+    Crop and mask are of the first. Arguments and exceptions as of read_photograph.
+    """
+    whole = replace(settings, crop=None, mask=None)
+    photos = [read_photograph(paths[0], settings, several=several)]
+    photos += [read_photograph(path, whole, several=several) for path in paths[1:]]
+    return merge_bracket(photos) if len(photos) > 1 else photos[0]
+
+
+def _captured(
+    groups: Sequence[Sequence[Path]], settings: CaptureSettings, clock: CaptureClock
+) -> CaptureResult:
+    """Capture photographs of one sample, each of one or several exposures."""
     with clock.stage("read"):
-        several = len(paths) > 1
-        photo, *more = (read_photograph(path, settings, several=several) for path in paths)
+        several = len(groups) > 1
+        photo, *more = (read_exposures(group, settings, several=several) for group in groups)
         said = (f"{other.name}: {note}" for other in more for note in other.notes)
         photo = replace(photo, notes=(*photo.notes, *said))
     return capture_photo(photo, settings, others=more, clock=clock)

@@ -144,6 +144,9 @@ class CaptureSettings(CheckedSettings):
         None, least=1.0, most=170.0, metavar="1..170", otherwise="the photograph's"
     )
     """Field of view along the long side, degrees."""
+    white: float | None = setting(None, least=1e-9, most=1e9, otherwise="the file's, or 1")
+    """Value that is white in files of floating-point numbers (EXR, HDR, TIFF, DNG): light above it
+    is measured, and darker exposures of one scene stay comparable."""
     width_cm: float | None = setting(None, least=0.01, most=1e5)
     """Length of the sample along the photograph's long side, centimetres: exports are true to
     scale."""
@@ -190,6 +193,8 @@ class CaptureSettings(CheckedSettings):
         """All settings by name as JSON values."""
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
+        if self.white is None:
+            del document["white"]
         document |= {
             name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,7 +33,8 @@ def capture(
     photos: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PHOTO...", help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF."
+            metavar="PHOTO...",
+            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR.",
         ),
     ],
     out: Annotated[
@@ -55,6 +56,9 @@ def capture(
 ) -> None:
     """Turn flash photographs into materials.
 
+    Photographs from one place whose exposures are a stop or more apart (a bracket) make one
+    material: the darker ones measure the highlight.
+
     Writes for each photograph, into a folder of its name: the material (.matcap), a first map
     set, preview.png and report.json. Prints a verdict: good, usable, doubtful or failed, with the
     likely cause and a remedy. Ctrl-C saves a decoder's best result so far. By default the maps of
@@ -62,6 +66,7 @@ def capture(
     --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead, which also reads
     their pattern. Both use the tilt that its alignment branch predicts.
     """
+    from matcap.capture.bracket import find_brackets
     from matcap.cli.display import CaptureDisplay
     from matcap.files.memory import keep_memory
     from matcap.files.output import check_writable
@@ -69,14 +74,12 @@ def capture(
     keep_memory()  # this process is matcap's own
     settings = chosen(CaptureSettings, given)
     outputs = chosen(OutputSettings, {**given, "seed": settings.seed})
-    jobs = _jobs(photos, out)
     check_photographs(settings, len(photos) if together else 1)
     if together and len(photos) < 2:
         raise UsageError.at(
             "--together", "there is one photograph", "give two or more of one sample"
         )
-    if together:
-        jobs = [replace(jobs[0], others=tuple(photos[1:]))]
+    jobs = _jobs([tuple(photos)] if together else find_brackets(photos, fov=settings.fov), out)
     check_writable(out, outputs.room)
     results = []
     with CaptureDisplay.open(quiet=quiet) as shown:
@@ -93,18 +96,20 @@ def capture(
     raise typer.Exit(ExitCode.INTERRUPTED if "interrupted" in states else done)
 
 
-def _jobs(photos: Sequence[Path], out: Path) -> list[_Job]:
-    """Each photograph's own folder; a second one of the same stem gets a number."""
+def _jobs(samples: Sequence[Sequence[Path]], out: Path) -> list[_Job]:
+    """A folder for each sample, named as its first photograph; a second one of the same stem gets
+    a number.
+    """
     taken: set[str] = set()
     jobs = []
-    for photo in photos:
+    for photo, *others in samples:
         stem = name = usable_name(photo.stem.lstrip(".") or "photograph", "photograph")
         number = 1
         while name.casefold() in taken:
             number += 1
             name = f"{stem}-{number}"
         taken.add(name.casefold())
-        jobs.append(_Job(photo, out / name))
+        jobs.append(_Job(photo, out / name, tuple(others)))
     return jobs
 
 

@@ -28,11 +28,12 @@ def inspect(
         list[Path],
         typer.Argument(
             metavar="PHOTO...",
-            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG or TIFF; or a material (.matcap).",
+            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR; or a material "
+            "(.matcap).",
         ),
     ],
     given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
-    captured: Annotated[Given, Fields(CaptureSettings, only=("fov",))] = NOTHING,
+    captured: Annotated[Given, Fields(CaptureSettings, only=("fov", "white"))] = NOTHING,
     as_json: JsonOption = False,
 ) -> None:
     """Rate photographs before they are captured, with advice for the next one.
@@ -47,7 +48,7 @@ def inspect(
     from matcap.files.names import are_a_series
 
     detail, together = astuple(chosen(InspectSettings, given))
-    fov = captured.get("fov")
+    fov, white = captured.get("fov"), captured.get("white")
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
@@ -59,7 +60,7 @@ def inspect(
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            document, text = _material(path) if of_material else _photo(path, detail, fov)
+            document, text = _material(path) if of_material else _photo(path, detail, fov, white)
         except UsageError:
             raise
         except MatcapError as error:
@@ -90,12 +91,14 @@ def inspect(
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
-def _photo(path: Path, detail: int, fov: float | None) -> tuple[dict[str, Any], str]:
+def _photo(
+    path: Path, detail: int, fov: float | None, white: float | None
+) -> tuple[dict[str, Any], str]:
     """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.tilt import tilt_line
 
-    inspected = inspect_file(path, detail, fov)
+    inspected = inspect_file(path, detail, fov, white)
     quality, relief = inspected.quality, inspected.relief_spectrum
     lines = _rated(str(path), quality)
     spectrum = relief.document() if relief else None

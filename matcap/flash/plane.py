@@ -33,7 +33,7 @@ class Plane:
     left_out: Tensor | None = None
     """(H, W) bool, masked texels, which are filled by mirrored ones; None without a mask."""
     developed: bool = False
-    """Whether the picture is developed (8-bit codes), not RAW."""
+    """Whether the picture is developed (8-bit codes), not RAW or floating-point."""
     margins: Margins = Margins()
     """Margins of a mosaic's grid around the photograph's own."""
 
@@ -92,7 +92,7 @@ class Plane:
         linear, valid = mean(self.linear), whole(self.valid[None])[0]
         noise = None if self.noise is None else mean(self.noise)
         left_out = None if self.left_out is None else ~whole(~self.left_out[None])[0]
-        shrunk = plane_of(linear, valid, noise)
+        shrunk = plane_of(linear, valid, noise, self.encoding.limit)
         return replace(
             shrunk,
             channels=whole(self.measured),
@@ -132,17 +132,19 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
         detail: texels along the long side.
     """
     linear, valid = rectify(photo, setup, detail)
-    whole = plane_of(linear, valid, rectify_noise(photo, setup, detail))
+    whole = plane_of(linear, valid, rectify_noise(photo, setup, detail), photo.headroom)
     masked = photo.left_out is not None
     left_out = ~torch.from_numpy(kept(photo, setup, detail)) if masked else None
     return replace(
         whole,
         channels=measured(photo, setup, detail),
         left_out=left_out,
-        developed=not photo.radiometric,
+        developed=not (photo.radiometric or photo.floating),
     )
 
 
-def plane_of(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Plane:
-    """Plane of a rectified picture, with its own encoding; arguments as in Plane."""
-    return Plane(linear, valid, noise, fit_encoding(linear, valid, noise))
+def plane_of(
+    linear: Tensor, valid: Tensor, noise: Tensor | None = None, headroom: float = 1.0
+) -> Plane:
+    """Plane of a rectified picture that clips at `headroom`, with its own encoding."""
+    return Plane(linear, valid, noise, fit_encoding(linear, valid, noise, headroom))

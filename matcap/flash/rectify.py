@@ -20,7 +20,6 @@ from matcap.photo.photo import Photo
 from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
 FINER = 2  # samples along the side of a texel, if the photograph has more pixels than texels
-CLIPPING = 0.95  # channels of a clipped pixel above this are the clipped ones
 MOST_LEFT_OUT = 0.02  # largest masked share of a valid texel, and largest clipped one of a cell
 
 
@@ -47,8 +46,7 @@ def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
 
     A sparkle clipped in red can still be valid in green and blue.
     """
-    full = photo.clipped[..., None] & (photo.pixels > CLIPPING)
-    clipped = _resampled(full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
+    clipped = _resampled(photo.full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
     seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < CLIPPED_SHARE)
     seen &= kept(photo, setup, detail)[..., None]
     return planes_of(seen)

@@ -6,6 +6,7 @@ colour space is inverted. lossy.py and lossless.py read the files.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.color import Linearise, largest_code
 from matcap.files.stated_color import StatedColor
+from matcap.photo.hdr_gain_map import HdrGainMap, applied
 from matcap.photo.photo import Decoded
 from matcap.photo.shrink import Rows, area_averaged, shrink, shrunk_size
+from matcap.photo.tone import WITH_GAIN_MAP, Development
 
 
 @dataclass(frozen=True)
@@ -35,11 +38,16 @@ class Coded:
     color: StatedColor = StatedColor()
     """Colour space of the file."""
     clip_at: float = 1.0
-    """Share of the largest code value from which on pixels count as clipped."""
+    """Share of the largest code value from which on pixels count as clipped; of floating-point
+    numbers the value itself."""
     opacity: NDArray[Any] | None = None
     """(H, W) code values of alpha, or None."""
     size: tuple[int, int] | None = None
     """(width, height) of the file's picture, if the decoder has reduced it."""
+    gain_map: HdrGainMap | None = None
+    """HDR gain map on the grid of the picture, or None."""
+    white: float = 1.0
+    """Light of the file that counts as white."""
     notes: tuple[str, ...] = ()
     """Sentences for the report."""
 
@@ -58,6 +66,8 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
     whole = np.issubdtype(coded.dtype, np.integer)
     clip_code = coded.clip_at * largest_code(coded.dtype)
     clip_code = np.ceil(clip_code) if whole else clip_code
+    gain_map, scale = coded.gain_map, np.float32(1.0 / coded.white)
+    headroom = _headroom(coded, linearise)
     at_limit = 0
 
     def read(top: int, bottom: int) -> Rows:
@@ -71,6 +81,11 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
         light = linearise(codes)
         red, green, blue = (codes[..., channel] >= clip_code for channel in range(3))
         clipped: NDArray[np.bool_] = red | green | blue
+        if gain_map is not None:
+            light, at_most = gain_map.light(light, slice(top, bottom))
+            clipped &= at_most
+        elif scale != 1.0:
+            light = light * scale
         nonlocal at_limit
         at_limit += int(np.count_nonzero(clipped))
         return light, clipped
@@ -82,11 +97,30 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
         clipped,
         coded.size or (coded.width, coded.height),
         orientation,
-        notes=coded.notes + notes + transparent,
+        notes=coded.notes
+        + notes
+        + transparent
+        + (() if gain_map is None else (applied(gain_map),)),
         clipped_share=at_limit / (coded.width * coded.height),
-        linear=_is_linear(linearise, coded.dtype),
+        linear=gain_map is None and _is_linear(linearise, coded.dtype),
+        headroom=headroom,
+        floating=not whole,
+        development=Development() if gain_map is None else WITH_GAIN_MAP,
         opacity=opacity,
     )
+
+
+def _headroom(coded: Coded, linearise: Linearise) -> float:
+    """Light at which channels clip, in units of white: of PQ and HLG, and of floating point."""
+    if coded.gain_map is not None:
+        return coded.gain_map.headroom
+    if math.isinf(coded.clip_at):
+        return math.inf
+    floating = not np.issubdtype(coded.dtype, np.integer)
+    full = (coded.clip_at if floating else largest_code(coded.dtype)) * np.ones((1, 1, 3))
+    brightest = float(linearise(full.astype(coded.dtype)).min()) / coded.white
+    # Rounding of matrices and curves aside, codes end at white.
+    return brightest if abs(brightest - 1.0) > 0.02 else 1.0
 
 
 def _is_linear(linearise: Linearise, dtype: np.dtype[Any]) -> bool:

@@ -66,6 +66,8 @@ class Exif:
     exposure: float | None = None
     """Exposure time times sensitivity over the squared f-number, or None; proportional to stored
     values for the same radiance."""
+    camera: str = ""
+    """Maker, model, lens, focal length and digital zoom; "" without a model."""
 
     def view(self, width: int, height: int) -> tuple[float | None, tuple[str, ...]]:
         """Field of view across the long side in degrees, or None; and notes to the user.
@@ -194,6 +196,19 @@ def _exposure(tags: dict[str, Any]) -> float | None:
     return time * sensitivity / aperture**2
 
 
+def _camera(tags: dict[str, Any]) -> str:
+    """Name of camera, lens, focal length and zoom."""
+    names = ("Image Make", "Image Model", "EXIF LensModel")
+    maker, model, lens = (str(getattr(tags.get(name), "values", "")).strip() for name in names)
+    if not model:
+        return ""
+    maker = "" if model.casefold().startswith(maker.casefold()) else maker
+    name = " ".join(part for part in (maker, model, lens) if part)
+    length, zoom = _ratio(tags, "EXIF FocalLength"), _ratio(tags, "EXIF DigitalZoomRatio")
+    name += "" if length is None else f", {length:g} mm"
+    return name + ("" if zoom is None or zoom == 1.0 else f", zoom {zoom:g}")
+
+
 def _focal_plane(tags: dict[str, Any]) -> FocalPlane | None:
     """FocalLength times FocalPlaneXResolution, in pixels of the picture size in Exif."""
     length = _ratio(tags, "EXIF FocalLength")
@@ -243,6 +258,7 @@ def _interpret(tags: dict[str, Any], xmp: bytes) -> Exif:
         focal_plane=_focal_plane(tags),
         flash_fired=bool(flash & 1) if flash >= 0 else None,
         exposure=_exposure(tags),
+        camera=_camera(tags),
     )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from matcap.photo.border import border_crop
 from matcap.photo.checks import CHECKS, Finding, Rating
+from matcap.photo.hdr_gain_map import NAME as GAIN_MAP
 from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged, cell_means
 
@@ -38,7 +39,6 @@ _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a 
 _USUAL = (0.4, 0.6, 0.15, 0.15)
 _TILES = 8  # along the long side
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
-_HDR = "HDR gain map"  # in notes that have a finding of their own
 
 
 @dataclass(frozen=True)
@@ -231,6 +231,9 @@ def _radiometric(photo: Photo) -> Finding:
     if photo.radiometric:
         says = "A RAW: its numbers are proportional to light."
         return Finding("radiometric", True, Rating.GOOD, says)
+    if photo.floating:
+        says = "Floating-point numbers, taken as proportional to light."
+        return Finding("radiometric", False, Rating.GOOD, says)
     says = "A developed picture: albedo is relative"
     if photo.tone is not None:
         says += f", its tone curve raises contrast to the power {photo.tone.exponent:.2f}"
@@ -246,17 +249,19 @@ def _shading_map(photo: Photo) -> Finding:
 
 def _reading(photo: Photo) -> tuple[Finding, ...]:
     """Notes of reading the file, as a finding."""
-    notes = [note for note in photo.remarks if _HDR not in note]
+    notes = [note for note in photo.remarks if GAIN_MAP not in note]
     if not notes:
         return ()
     return (Finding("reading", notes, Rating.NOT_JUDGED, " ".join(notes)),)
 
 
 def _gain_map(photo: Photo) -> Finding:
-    notes = [note for note in photo.notes if _HDR in note]
+    notes = [note for note in photo.notes if GAIN_MAP in note]
     if not notes:
         return Finding("gain_map", False, Rating.GOOD, "It carries no HDR gain map.")
-    remedy = "Switch HDR off: it brightens parts of the picture differently."
+    if photo.headroom > 1.0:
+        return Finding("gain_map", True, Rating.GOOD, notes[0])
+    remedy = "Give the file as the camera wrote it, or switch HDR off."
     return Finding("gain_map", True, Rating.NOT_JUDGED, notes[0], remedy)
 
 

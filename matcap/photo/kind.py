@@ -6,6 +6,7 @@ from enum import Enum
 from pathlib import Path
 
 from matcap.errors import MatcapError
+from matcap.files.radiance import MAGIC
 from matcap.photo.dng import raw_page
 from matcap.photo.refusals import READABLE, decoding
 
@@ -21,8 +22,11 @@ class FileKind(Enum):
     HEIC = "HEIC"
     AVIF = "AVIF"
     WEBP = "WebP"
+    EXR = "EXR"
+    RADIANCE = "Radiance HDR"
 
 
+_EXR = b"\x76\x2f\x31\x01"
 _JPEG = b"\xff\xd8\xff"
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -53,6 +57,10 @@ def file_kind(path: Path) -> FileKind:
         return FileKind.JPEG
     if head.startswith(_PNG):
         return FileKind.PNG
+    if head.startswith(_EXR):
+        return FileKind.EXR
+    if head.startswith(MAGIC):
+        return FileKind.RADIANCE
     if head[4:8] == b"ftyp":
         brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
         # AVIF first, as AVIF files may have HEIC's generic brands.
@@ -106,8 +114,8 @@ def _of_tiff(path: Path) -> FileKind:
 
 # Other formats by their first bytes, for error messages.
 _KNOWN = {
-    b"\x76\x2f\x31\x01": "an OpenEXR picture", b"#?": "a Radiance picture", b"GIF8": "a GIF",
-    b"BM": "a BMP picture", b"8BPS": "a Photoshop document", b"%PDF": "a PDF document",
+    b"GIF8": "a GIF", b"BM": "a BMP picture", b"8BPS": "a Photoshop document",
+    b"%PDF": "a PDF document",
     b"\xff\x0a": "a JPEG XL picture", b"\0\0\0\x0cJXL ": "a JPEG XL picture",
     b"\xff\x4f\xff\x51": "a JPEG 2000 picture", b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
 }  # fmt: skip

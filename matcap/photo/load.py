@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.quiet import quiet_decoders
 from matcap.photo.dng import Corrections, read_corrections
 from matcap.photo.exif import Exif, phone_fov, read_exif
+from matcap.photo.floating import is_float_dng, read_exr_or_radiance, read_float_dng
 from matcap.photo.jxl import read_jxl
 from matcap.photo.kind import FileKind, file_kind
 from matcap.photo.left_out import leave_transparent_out
@@ -35,15 +37,17 @@ def load_photo(
     long_side: int | None = None,
     fov: float | None = None,
     noise: bool = True,
+    white: float | None = None,
 ) -> Photo:
     """Read a photograph.
 
     Args:
-        path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), WebP, AVIF, HEIC (extra
-            `heic`). Transparent pixels are left out, as by a mask.
+        path: DNG or other RAW, JPEG, PNG, TIFF (8, 16 bits or float), WebP, AVIF, EXR, Radiance
+            HDR, HEIC (extra `heic`). Transparent pixels are left out, as by a mask.
         long_side: downsample to this many pixels along the long side; never upsample.
         fov: field of view across the long side, degrees; None is the file's, or phone_fov().
         noise: compute Photo.noise of a RAW, for which it is developed twice.
+        white: value of white in a file of floating-point numbers; None is the file's, or 1.
 
     Returns:
         The photograph in linear light, its long side along x.
@@ -53,13 +57,15 @@ def load_photo(
         UsageError: long_side or fov is out of range.
     """
     path = Path(path)
-    _check_request(long_side, fov)
+    _check_request(long_side, fov, white)
     with quiet_decoders():
-        picture, exif = _read(path, long_side, noise)
+        picture, exif = _read(path, long_side, noise, white)
     return replace(_photo(picture, exif, fov, str(path), path.name), path=path.absolute())
 
 
-def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif]:
+def _read(
+    path: Path, long_side: int | None, noise: bool, white: float | None
+) -> tuple[Decoded, Exif]:
     kind = file_kind(path)
     if kind is FileKind.JPEG:
         return read_jpeg(path, long_side)
@@ -68,8 +74,12 @@ def _read(path: Path, long_side: int | None, noise: bool) -> tuple[Decoded, Exif
     if kind in (FileKind.WEBP, FileKind.AVIF):
         return read_webp_or_avif(path, kind.value, long_side)
     if kind in (FileKind.PNG, FileKind.TIFF):
-        return read_png_or_tiff(path, kind.value, long_side)
+        return read_png_or_tiff(path, kind.value, long_side, white)
+    if kind in (FileKind.EXR, FileKind.RADIANCE):
+        return read_exr_or_radiance(path, long_side, white), Exif()
     corrections = read_corrections(path) if kind is FileKind.DNG else Corrections()
+    if kind is FileKind.DNG and is_float_dng(path):
+        return read_float_dng(path, long_side, corrections, white)
     read = partial(read_raw, long_side=long_side, corrections=corrections, noise=noise)
     return (read_jxl(path, read) if corrections.jpeg_xl else read(path)), read_exif(path)
 
@@ -109,13 +119,18 @@ def _photo(
         exposure=exif.exposure,
         balance=picture.balance,
         tone=ToneCurve() if picture.linear else None,
+        headroom=picture.headroom,
+        floating=picture.floating,
+        development=picture.development,
     )
     if picture.opacity is None:
         return photo
     return leave_transparent_out(photo, lying(picture.opacity), where)
 
 
-def _check_request(long_side: int | None, fov: float | None) -> None:
+def _check_request(long_side: int | None, fov: float | None, white: float | None) -> None:
+    if white is not None and not 0.0 < white < math.inf:
+        raise UsageError.at("white", f"{white:g} is no value of white", "give a positive number")
     if long_side is not None and long_side < SHORTEST_SIDE:
         raise UsageError.at(
             "long_side",

@@ -21,6 +21,7 @@ from matcap.files.exr import forget_error
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.exif import Exif, read_exif
+from matcap.photo.floating import light
 from matcap.photo.photo import Decoded
 from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
 
@@ -49,8 +50,15 @@ class _Page:
     """Notes on other pages."""
 
 
-def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (taken as linear light).
+def read_png_or_tiff(
+    path: Path, form: str, long_side: int | None, white: float | None = None
+) -> tuple[Decoded, Exif]:
+    """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (floating.py).
+
+    Args:
+        form: "PNG" or "TIFF".
+        long_side: of the result, pixels, or None.
+        white: value of white in floating point, by default 1.
 
     Raises:
         MatcapError: truncated, damaged, too small, too large, not supported, or with NaN or
@@ -81,13 +89,16 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
         whole = rows(0, spec.height)
         if alpha >= 0:
             opacity = np.ascontiguousarray(whole[..., alpha])
-        if dtype.kind == "f":
-            whole, scaled = _below_one(whole)
-            notes += scaled
 
         def rows(top: int, bottom: int) -> NDArray[Any]:
             return whole[top:bottom]
 
+    exif = read_exif(path)
+    if dtype.kind == "f":
+        colours = three_channels(rows(0, spec.height))
+        color = _color(path, page.index, dtype)
+        coded = light(path, colours, white, notes, color, opacity)
+        return decode(coded, long_side, str(path), page.orientation or exif.orientation), exif
     coded = Coded(
         lambda top, bottom: three_channels(rows(top, bottom)),
         spec.width,
@@ -97,7 +108,6 @@ def read_png_or_tiff(path: Path, form: str, long_side: int | None) -> tuple[Deco
         opacity=opacity,
         notes=notes,
     )
-    exif = read_exif(path)
     return decode(coded, long_side, str(path), page.orientation or exif.orientation), exif
 
 
@@ -195,15 +205,3 @@ def _stored_type(form: Any) -> str:  # noqa: ANN401
     if name in ("half", "float", "double"):
         return "float"
     return "uint8" if name in ("uint8", "int8") else "uint16"
-
-
-def _below_one(pixels: NDArray[np.float32]) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Scale floating-point pixels to a maximum of 1, the clip level, if it is more; with notes."""
-    least, largest = float(pixels[..., :3].min()), float(pixels[..., :3].max())
-    notes: tuple[str, ...] = ()
-    if np.isfinite(least) and least < -1e-3:
-        notes = (f"Values reach down to {least:.3g}: those below 0 are taken as 0.",)
-    if not (np.isfinite(largest) and largest > 1.0):
-        return pixels, notes
-    scaled = f"Values reach {largest:.4g}: scaled to reach 1."
-    return pixels / np.float32(largest), (*notes, scaled)

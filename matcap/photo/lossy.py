@@ -6,7 +6,6 @@ pictures of more than 178 megapixels, which phones take.
 
 from __future__ import annotations
 
-import mmap
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,8 +18,10 @@ from numpy.typing import NDArray
 from matcap.files import bmff
 from matcap.files.jpeg_coding import unsupported_jpeg
 from matcap.files.stated_color import StatedColor, stated_color
+from matcap.photo import hdr_gain_map
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.exif import Exif, FocalPlane, read_exif
+from matcap.photo.hdr_gain_map import HdrGainMap
 from matcap.photo.photo import Decoded
 from matcap.photo.refusals import check_size, decoding, missing_extra, unsupported
 
@@ -29,14 +30,12 @@ _LOSSY_CLIP = 254.0 / 255.0
 # Pixels beyond which a JPEG is decoded at half size (DCT scaling), if that suffices.
 _LARGE = 100_000_000
 
-# Signatures of HDR gain maps: Ultra HDR and Adobe, Apple, ISO 21496-1.
-_HDR_MARKS = (b"ns.adobe.com/hdr-gain-map", b"aux:hdrgainmap", b"iso:ts:21496:-1")
-_HDR_NOTE = "The file carries an HDR gain map, which was not applied."
+_WIDEST_META = 1 << 16  # first bytes of a HEIC or AVIF in which its items are searched
 _MODES = {"RGB", "RGBA", "RGBX", "L", "LA"}  # Pillow's modes that are read directly
 
 
 def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a JPEG, the first of several pictures, without its gain map.
+    """Read a JPEG, the first of several pictures, with its HDR gain map.
 
     Raises:
         MatcapError: truncated, damaged, too small, too large, of 12 bits, or CMYK.
@@ -67,8 +66,14 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         stated_color(path),
         _LOSSY_CLIP,
         size=size,
-        notes=_hdr_notes(path),
     )
+    if hdr_gain_map.has_mark(path):
+        coded = _brightened(
+            coded,
+            lambda: hdr_gain_map.of_jpeg(
+                path.read_bytes(), hdr_gain_map.exif_ifd(image.info.get("exif", b""))
+            ),
+        )
     exif = read_exif(path)
     return decode(coded, long_side, str(path), exif.orientation), exif
 
@@ -98,7 +103,7 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
     properties = bmff.Properties() if form == "WebP" else _properties(path)
     if properties.bits > 8:
         notes = (*notes, f"The picture's {properties.bits} bits are read as 8.")
-    picture = _coded(pixels, stated_color(path), (*notes, *_hdr_notes(path)))
+    picture = _coded(pixels, stated_color(path), (*notes, *_unread_map(path)))
     exif = with_camera_matrix(exif, properties, image.size)
     return decode(picture, long_side, str(path), exif.orientation), exif
 
@@ -118,7 +123,7 @@ def _pillow_decoder(form: str) -> Callable[[BinaryIO], Any] | None:
 
 
 def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
-    """Read a HEIC through pillow-heif, an extra.
+    """Read a HEIC through pillow-heif, an extra, with Apple's HDR gain map.
 
     Raises:
         MatcapError: pillow-heif is not installed, or the file is truncated, damaged or too small.
@@ -129,11 +134,14 @@ def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         raise missing_extra(path, "HEIC", "heic") from error
 
     with decoding(path, "HEIC"):
-        image = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
+        image: Any = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
         check_size(path, *image.size)
         pixels = np.asarray(image)
         info = dict(image.info)
-    coded = _coded(pixels, stated_color(path), _hdr_notes(path))
+        maps = [np.asarray(image.get_aux_image(k)) for k in _apple_maps(info)[:1]]
+    coded = _coded(pixels, stated_color(path), () if maps else _unread_map(path))
+    if maps:
+        coded = _brightened(coded, lambda: _apple_map(path, maps[0], info, image.size))
     if pixels.dtype == np.uint16:
         coded = replace(coded, rows=_filled(coded.rows, int(info.get("bit_depth") or 10)))
     # The container's own rotation has been applied; the Exif block repeats it.
@@ -185,6 +193,43 @@ def _filled(
     return filled
 
 
-def _hdr_notes(path: Path) -> tuple[str, ...]:
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        return (_HDR_NOTE,) if any(data.find(mark) >= 0 for mark in _HDR_MARKS) else ()
+def _brightened(coded: Coded, find: Callable[[], HdrGainMap]) -> Coded:
+    """A picture with its HDR gain map; one that cannot be used (ValueError) is noted."""
+    try:
+        gain_map = hdr_gain_map.matching(find(), coded.width, coded.height)
+    except ValueError as error:
+        return replace(coded, notes=(*coded.notes, hdr_gain_map.left_out(str(error))))
+    return replace(coded, gain_map=gain_map)
+
+
+def _apple_maps(info: dict[str, Any]) -> list[int]:
+    """Numbers of a HEIC's auxiliary pictures that are gain maps."""
+    return list(info.get("aux", {}).get(hdr_gain_map.APPLE, ()))
+
+
+def _apple_map(
+    path: Path, codes: NDArray[Any], info: dict[str, Any], size: tuple[int, int]
+) -> HdrGainMap:
+    """Apple's gain map of an auxiliary picture (h, w, ...), turned as the base is.
+
+    Raises:
+        ValueError: its headroom is missing, or it has more than 8 bits.
+    """
+    if codes.dtype != np.uint8:
+        raise ValueError("it has more than 8 bits")
+    # XMP of the auxiliary picture is stored as it is, and not handed out.
+    headroom = hdr_gain_map.apple_headroom(
+        hdr_gain_map.exif_ifd(info.get("exif") or b""), path.read_bytes()
+    )
+    gain_map = hdr_gain_map.apple(codes.reshape(*codes.shape[:2], -1), None, headroom)
+    turned = replace(gain_map, codes=np.ascontiguousarray(np.rot90(gain_map.codes)))
+    return gain_map if gain_map.fits(*size) or not turned.fits(*size) else turned
+
+
+def _unread_map(path: Path) -> tuple[str, ...]:
+    """Note on a HEIC's or AVIF's gain map that no decoder hands out."""
+    with path.open("rb") as file:
+        item = b"tmap" in file.read(_WIDEST_META)
+    if not item and not hdr_gain_map.has_mark(path):
+        return ()
+    return (hdr_gain_map.left_out("its form in this kind of file is not supported"),)

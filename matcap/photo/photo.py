@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.tone import ToneCurve
+from matcap.photo.tone import Development, ToneCurve
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
 
@@ -29,6 +29,12 @@ class Decoded:
     """As in Photo."""
     linear: bool = False
     """Whether codes are proportional to light, so that a tone curve is unlikely."""
+    headroom: float = 1.0
+    """As in Photo."""
+    floating: bool = False
+    """As in Photo."""
+    development: Development = Development()
+    """As in Photo."""
     gain_map_applied: bool = False
     notes: tuple[str, ...] = ()
     """As in Photo."""
@@ -47,10 +53,10 @@ class Photo:
     """A scene-linear, white-balanced photograph, long side along x."""
 
     pixels: NDArray[np.float32]
-    """(H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0, in units of the clip level.
-    Lens-shading correction and colours outside Rec.709 may give more than 1."""
+    """(H, W, 3) float32, W >= H, linear Rec.709, finite, >= 0, in units of the file's white.
+    Light above white is measured where `clipped` is False."""
     clipped: NDArray[np.bool_]
-    """(H, W) bool, pixels of which a channel reached the clip level."""
+    """(H, W) bool, pixels of which a channel reached the clip level, `headroom`."""
     fov: float
     """Field of view across the long side, degrees."""
     fov_source: str
@@ -88,6 +94,20 @@ class Photo:
     """White-balance gains by channel, or None."""
     tone: ToneCurve | None = None
     """The tone curve that was removed from `pixels`; None if one may still be in them."""
+    headroom: float = 1.0
+    """Radiance at which a channel clips, in units of white; infinite if nothing does. Lens shading
+    and colours outside Rec.709 may exceed it."""
+    floating: bool = False
+    """Whether the file holds floating-point numbers, which have no quantisation noise."""
+    development: Development = Development()
+    """Prior of the tone curve, where one may be in `pixels`."""
+
+    @property
+    def full(self) -> NDArray[np.bool_]:
+        """(H, W, 3) bool, channels whose values are lower bounds: of a clipped pixel those at white
+        or above.
+        """
+        return self.clipped[..., None] & (self.pixels > FULL * min(self.headroom, 1.0))
 
     @property
     def tone_mapped(self) -> bool:
@@ -98,7 +118,8 @@ class Photo:
         """The photograph without a tone curve; unchanged if it has none."""
         if not self.tone_mapped:
             return self
-        return replace(self, pixels=tone.linear(self.pixels), tone=tone)
+        headroom = float(tone.linear(np.array(self.headroom)))
+        return replace(self, pixels=tone.linear(self.pixels), headroom=headroom, tone=tone)
 
     def developed(self, linear: NDArray[np.float32]) -> NDArray[np.float32]:
         """Radiance (H, W, 3) with the tone curve that was removed from `pixels`."""

@@ -11,7 +11,7 @@ from matcap.errors import MatcapError
 SHORTEST_SIDE = 64  # pixels, least short side
 MOST_PIXELS = 260_000_000  # larger pictures are not opened; a header may claim any size
 
-READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF or WebP"
+READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF, WebP, EXR or HDR"
 # Words in decoders' errors for unsupported, rather than damaged, files.
 _UNSUPPORTED = ("unsupported", "not supported", "not implemented", "cannot handle", "no decoding")
 

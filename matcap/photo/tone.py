@@ -21,6 +21,23 @@ SHOULDER = 0.27  # w of a developed picture; fitted as well, it hardly moves (do
 
 
 @dataclass(frozen=True)
+class Development:
+    """Prior of a developed picture's tone curve, by default that of a phone's JPEG."""
+
+    log_exponent: float = 0.12
+    """Mean of log c."""
+    deviation: float = 0.08
+    """Standard deviation of log c."""
+    shoulder: float = SHOULDER
+    """w, held."""
+
+
+# Base and HDR gain map together: the shoulder is undone, and dark tones are as in the base, which
+# has nearly no gain there.
+WITH_GAIN_MAP = Development(0.04, 0.05, 0.0)
+
+
+@dataclass(frozen=True)
 class ToneCurve:
     """g with its two numbers; by default the identity."""
 
@@ -49,9 +66,11 @@ class ToneCurve:
         return np.asarray(power / (1.0 + self.shoulder * (power - 1.0)), light.dtype)
 
     def linear(self, picture: NDArray[Any]) -> NDArray[Any]:
-        """The inverse of developed() up to the clip level; beyond it ratios to it are kept."""
+        """The inverse of developed() up to white; beyond it, below a shoulder, ratios are kept."""
         if self == ToneCurve():
             return picture
+        if self.shoulder == 0.0:
+            return np.asarray(np.power(picture, 1.0 / self.exponent), picture.dtype)
         within = np.minimum(picture, 1.0)
         power = within * (1.0 - self.shoulder) / (1.0 - self.shoulder * within)
         light = np.power(power, 1.0 / self.exponent) * np.maximum(picture, 1.0)

@@ -115,7 +115,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     levels = [_middle(level) for level in pyramid(colour, bank.levels)]
     features = bank.maps(linear, levels)
     grams, crosses = moments(features, crossed=bank.crossed)
-    average = encoding.log(linear.clamp(0.0, 1.0).mean(dim=(2, 3), keepdim=True))
+    average = encoding.log(encoding.clipped(linear).mean(dim=(2, 3), keepdim=True))
     return Descriptor(
         mean=torch.cat([log.mean(dim=(2, 3)), average[..., 0, 0]], dim=1),
         grams=grams,

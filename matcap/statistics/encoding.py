@@ -36,17 +36,25 @@ class Encoding:
     """Radiance that is mapped to log 0."""
     matrix: Tensor
     """(3, 3) from log colour to decorrelated colour."""
+    limit: float = 1.0
+    """Radiance at which the photograph clips, and all that is compared with it."""
 
     def __call__(self, linear: Tensor) -> Tensor:
         """(B, 3, H, W) encoded colours of linear radiance (B, 3, H, W)."""
         return torch.einsum("ij,bjhw->bihw", self.matrix.to(linear), self.log(linear))
 
     def log(self, linear: Tensor) -> Tensor:
-        """Logarithm ln((L / median + toe) / (1 + toe)) of radiance L (B, 3, H, W) in [0, 1]."""
-        return torch.log((linear.clamp(0.0, 1.0) / self.median + _TOE) / (1.0 + _TOE))
+        """Logarithm ln((L / median + toe) / (1 + toe)) of radiance L (B, 3, H, W), clipped."""
+        return torch.log((self.clipped(linear) / self.median + _TOE) / (1.0 + _TOE))
+
+    def clipped(self, linear: Tensor) -> Tensor:
+        """Radiance clipped as the photograph is."""
+        return linear.clamp(0.0, self.limit)
 
 
-def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> Encoding:
+def fit_encoding(
+    linear: Tensor, valid: Tensor, noise: Tensor | None = None, limit: float = 1.0
+) -> Encoding:
     """Fit the encoding of a photograph: whitening by the eigenvectors of its log colours.
 
     Args:
@@ -55,6 +63,7 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
             fewer than _LEAST_TEXELS are valid.
         noise: (3, H, W) an independent sample of the photograph's noise; each colour direction is
             scaled by the square root of its signal's share of the variance.
+        limit: radiance at which the photograph clips.
     """
     step = -(-max(linear.shape[-2:]) // _MOST_TEXELS)
     if step > 1:
@@ -64,7 +73,7 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
         valid = torch.ones_like(valid)
     seen = linear[:, valid]
     median = max(float(seen.mean(0).median()), 1e-6)
-    plain = Encoding(median, torch.eye(3))
+    plain = Encoding(median, torch.eye(3), limit)
     log = plain.log(linear[None])
     texture = (log - shading(log, _SHADING_SCALE // step))[0][:, valid]
     values, vectors = torch.linalg.eigh(torch.cov(texture.double()))
@@ -74,7 +83,7 @@ def fit_encoding(linear: Tensor, valid: Tensor, noise: Tensor | None = None) -> 
         added = (plain.log((linear + noise)[None]) - log)[0][:, valid]
         noisy = (vectors * (torch.cov(added.double()) @ vectors)).sum(dim=0)
         scale = scale * (1.0 - noisy / values.clamp_min(1e-12)).clamp_min(_LEAST_SIGNAL).sqrt()
-    return Encoding(median, (vectors * scale).T.float().contiguous())
+    return Encoding(median, (vectors * scale).T.float().contiguous(), limit)
 
 
 def shading(image: Tensor, scale: int = _SHADING_SCALE) -> Tensor:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
-    *(".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp"),
+    *(".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp", ".exr", ".hdr"),
     *sorted(RAW_SUFFIXES),
 )
 _DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have

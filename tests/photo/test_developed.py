@@ -61,14 +61,6 @@ def test_float_tiff_is_linear(tmp_path, codes, dtype):
     assert not photo.clipped.any() and not photo.radiometric
 
 
-def test_float_tiff_above_one_is_scaled_and_says_so(tmp_path, codes):
-    path = tmp_path / "a.tif"
-    tifffile.imwrite(path, (codes / codes.max() * 40).astype(np.float32), photometric="rgb")
-    photo = load_photo(path)
-    np.testing.assert_allclose(photo.pixels, codes / codes.max(), rtol=1e-5)
-    assert "reach 40" in photo.notes[0]
-
-
 def test_png_gamma_one_is_linear(photo_of, codes):
     info = PngImagePlugin.PngInfo()
     info.add(b"gAMA", (100_000).to_bytes(4, "big"))

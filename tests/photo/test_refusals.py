@@ -201,7 +201,7 @@ def test_what_is_not_supported_is_not_called_damaged(tmp_path, codes):
     with tifffile.TiffFile(tmp_path / "b.tif", mode="r+") as file:
         file.pages.first.tags["Compression"].overwrite(34925)  # LZMA
     assert "compression LZMA is not supported" in refuse(tmp_path / "b.tif").what
-    heads = {"JPEG XL": b"\xff\x0a", "OpenEXR": b"\x76\x2f\x31\x01", "GIF": b"GIF89a"}
+    heads = {"JPEG XL": b"\xff\x0a", "GIF": b"GIF89a"}
     for word, head in heads.items():
         (tmp_path / "c.jpg").write_bytes(head + bytes(100))
         assert word in refuse(tmp_path / "c.jpg").what

@@ -54,7 +54,7 @@ class RingTarget:
     """A photograph with its geometry, light and relief."""
 
     linear: Tensor
-    """(3, H, W) radiance on the plane's grid; 1 is where it clips."""
+    """(3, H, W) radiance on the plane's grid."""
     measured: Tensor
     """(3, H, W) bool: not clipped."""
     counts: Tensor

@@ -20,7 +20,7 @@ from matcap.capture.exemplar.filters import local_mean
 from matcap.capture.registration.camera import to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.light import Incident
-from matcap.photo.photo import FULL, Photo
+from matcap.photo.photo import Photo
 from matcap.photo.shrink import area_averaged
 
 Picture = NDArray[np.float32]
@@ -139,8 +139,7 @@ def _without(view: RegisteredView, ambient: RegisteredView, amount: NDArray[np.f
     share = float(np.median(added.mean(2) / np.maximum(photo.pixels.mean(2), 1e-6)))
     left = np.maximum(photo.pixels - added, _FAINTEST * photo.pixels)
     # Clipped pixels remain lower bounds.
-    full = photo.clipped[..., None] & (photo.pixels > FULL)
-    left = np.where(full, photo.pixels, left)
+    left = np.where(photo.full, photo.pixels, left)
     note = (
         f"{100.0 * share:.0f} % of its light was ambient, measured by {ambient.photo.name} and "
         "subtracted."

@@ -32,7 +32,6 @@ from matcap.flash.light import (
     strips,
 )
 from matcap.flash.rectify import FINER, planes_of
-from matcap.photo.photo import FULL
 from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
@@ -156,8 +155,7 @@ class ResampledView:
         shrink = min(1.0, FINER * across / columns)
         size = (round(columns * shrink), round(rows * shrink))
         pixels = area_averaged(photo.pixels, size)
-        full = (photo.clipped[..., None] & (photo.pixels > FULL)).astype(np.float32)
-        clipped = area_averaged(full, size)
+        clipped = area_averaged(photo.full.astype(np.float32), size)
         # A few rows at a time: whole grids of double precision would need much memory.
         grid = warp.points(across * finer, down * finer)
         parts = [to_pixels(view.camera.sees(points), *size) for points in grid]

@@ -1,6 +1,6 @@
 """Highlight contrast and glint contrast, re-rendered over photographed.
 
-Both pictures are clipped at the photograph's clip level 1, then averaged in rings around the mirror
+Both pictures are clipped at the photograph's clip level, then averaged in rings around the mirror
 point and divided by M, a uniform matte surface under the same flash. With <> a mean over texels,
 
     profile(r) = <L>_r / <M>_r,    contrast = profile(r < NEAR) / profile(r > FAR),
@@ -108,16 +108,21 @@ class HighlightProfile:
 
 
 def highlight_profile(
-    pictures: tuple[Picture, Picture], seen: TexelMask, measured: TexelMask, setup: FlashSetup
+    pictures: tuple[Picture, Picture],
+    seen: TexelMask,
+    measured: TexelMask,
+    setup: FlashSetup,
+    limit: float = 1.0,
 ) -> HighlightProfile | None:
     """Radial profiles and glints of both pictures; None if the mirror point is outside of them.
 
     Args:
         pictures: (H, W, 3) radiance of photograph and re-rendering on the plane's grid, clipped
-            alike at 1.
+            alike.
         seen: (H, W) bool, inside of the photograph.
         measured: (H, W) bool, `seen` and not clipped.
         setup: camera and flash.
+        limit: radiance at which the pictures are clipped.
     """
     lights = [channel_mean(picture) for picture in pictures]
     distance, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
@@ -133,7 +138,7 @@ def highlight_profile(
     profiles = np.maximum(profiles, _DARKEST)  # a ring may be black
     profiles /= profiles[-1]
     reach = _reach(profiles[:, 0])
-    region = seen & measured & (lights[1] < 1.0) & (distance < reach)
+    region = seen & measured & (lights[1] < limit) & (distance < reach)
     glints = (
         [_octaves(each, region) for each in lights] if region.mean() >= LEAST_SHARE else [[], []]
     )

@@ -24,9 +24,9 @@ from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.plane import Plane, plane_of
-from matcap.flash.rectify import CLIPPING, planes_of
+from matcap.flash.rectify import planes_of
 from matcap.photo.inspect import Inspection, band_passed, channel_mean, inspect_photo
-from matcap.photo.photo import Photo
+from matcap.photo.photo import FULL, Photo
 from matcap.photo.shrink import cell_means
 from matcap.statistics.compare import Descriptor, Weights, describe, distance
 from matcap.statistics.filterbank import FilterBank
@@ -108,21 +108,22 @@ def measure_capture(
     """
     exemplar = exemplar or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
-    pictures = np.minimum(rectified, 1.0), np.minimum(rerendered, 1.0)
+    limit = photo.headroom
+    pictures = np.minimum(rectified, limit), np.minimum(rerendered, limit)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
-    inside = valid | (rectified > CLIPPING).any(axis=2)
-    plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid))
+    inside = valid | (rectified > FULL * limit).any(axis=2)
+    plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=limit)
     rendering = planes_of(pictures[1])
     return Measurements(
         photograph=inspect_photo(photo, setup.tilt),
         highlights=highlights,
-        profile=highlight_profile(pictures, inside, valid, setup),
+        profile=highlight_profile(pictures, inside, valid, setup, limit),
         colour=colour,
         light=light,
         texture=texture_difference(plane, rendering),
-        contrast=texture_contrasts(*pictures, developed=not photo.radiometric),
+        contrast=texture_contrasts(*pictures, developed=not (photo.radiometric or photo.floating)),
         order=_order(plane, rendering, waves) if waves else None,
         offset=math.hypot(*setup.offset[:2]),
         connectivity=connectivity(

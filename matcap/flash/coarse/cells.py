@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.flash.highlight import Highlight
-from matcap.flash.rectify import CLIPPING, MOST_LEFT_OUT
-from matcap.photo.photo import Photo
+from matcap.flash.rectify import MOST_LEFT_OUT
+from matcap.photo.photo import FULL, Photo
 from matcap.photo.shrink import area_averaged
 
 _PATCH_REACH = 2.0  # half side of the patch, in half widths of the highlight
@@ -106,9 +106,10 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     rows, columns = photo.pixels.shape[:2]
     pixels = photo.pixels[top:bottom, left:right]
     small = area_averaged(pixels, size).astype(np.float64)
-    full = photo.clipped[top:bottom, left:right, None] & (pixels > CLIPPING)
+    full = photo.full[top:bottom, left:right]
     clipped = area_averaged(full.astype(np.float32), size) > MOST_LEFT_OUT
-    knee = CLIPPING if photo.radiometric else _KNEE_DEVELOPED
+    knee = FULL if photo.radiometric or photo.floating else _KNEE_DEVELOPED
+    knee *= photo.headroom
     above = np.where(clipped, 0.0, np.where(small > knee, _ABOVE_KNEE, 1.0))
     if photo.radiometric:
         above = np.where(above < 1.0, 0.0, 1.0)

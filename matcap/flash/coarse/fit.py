@@ -44,7 +44,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.render import Uniform
 from matcap.photo.photo import Photo
-from matcap.photo.tone import SHOULDER, ToneCurve
+from matcap.photo.tone import ToneCurve
 
 # Cells across the long side and across the highlight's patch: of the coarse grid for all starting
 # points, and of the fine one for the best.
@@ -151,11 +151,13 @@ def _fitted_coarsely(
     problem = Problem(
         cells=cells,
         distance=FlashSetup(fov=photo.fov).distance,
-        measurements=None if highlight is None else HighlightMeasurements(highlight),
+        measurements=None
+        if highlight is None
+        else HighlightMeasurements(highlight, headroom=photo.headroom),
         prior=prior.mean.vector(),
         precision=unit * prior.precision,
         unit=unit,
-        shoulder=SHOULDER if photo.tone_mapped else 0.0,
+        shoulder=photo.development.shoulder if photo.tone_mapped else None,
         conductor=prior.conductor,
     )
     initial = starts(cells.observed, prior, highlight, problem.distance)
@@ -184,7 +186,7 @@ def _fitted(
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         conductor=prior.conductor,
         picture_tilt=picture_tilt,
-        tone=ToneCurve(exponent, last.shoulder) if last.shoulder > 0.0 else ToneCurve(),
+        tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
     )
     return fit, last.cost(best), last.unit
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from matcap.flash.coarse.model import Unknowns, numbers
 from matcap.photo.photo import Photo
+from matcap.photo.tone import Development
 
 # Prior standard deviation of the tilt of a RAW, radians; larger than that of developed pictures,
 # whose tone curve looks like tilt.
@@ -46,7 +47,7 @@ _PRIORS = {
     # 95 photographs by one phone had a + b = 0.73 on the median, with a deviation of 0.35.
     "vignetting": ([0.3, 0.5], [0.35, 0.7]),
     "centre": ([0.0] * 2, [0.2] * 2),
-    "tone": ([0.12], [0.08]),
+    "tone": ([Development().log_exponent], [Development().deviation]),
 }
 _MEAN, _DEVIATION = (
     Unknowns(**{name: numbers(*prior[k]) for name, prior in _PRIORS.items()}) for k in (0, 1)
@@ -98,7 +99,8 @@ def hypothesis(
     conductor: bool,
 ) -> Hypothesis:
     """The prior of a photograph's parameters; arguments as of fit_coarse."""
-    mean, deviation = _MEAN, _DEVIATION
+    mean = replace(_MEAN, tone=numbers(photo.development.log_exponent))
+    deviation = replace(_DEVIATION, tone=numbers(photo.development.deviation))
     if conductor:
         mean = replace(mean, albedo=numbers(*[CONDUCTOR_F0.mean] * 3))
         deviation = replace(deviation, albedo=numbers(*[CONDUCTOR_F0.deviation] * 3))

@@ -59,6 +59,8 @@ class HighlightMeasurements:
 
     highlight: Highlight
     weight: float = WEIGHT
+    headroom: float = 1.0
+    """Radiance at which the photograph clips."""
 
     @cached_property
     def image(self) -> Tensor:
@@ -81,7 +83,8 @@ class HighlightMeasurements:
         )
         centre = (mirror - numbers(*highlight.centre)) / centre_deviation
         radiance = log_radiance.exp()
-        light = radiance.clamp_max(max(1.0, highlight.peak)).mean(0).log()  # as the camera clips
+        limit = max(self.headroom, highlight.peak)  # as the camera clips
+        light = radiance.clamp_max(limit).mean(0).log()
         rings = light.unflatten(0, (3, _DIRECTIONS))
         slope = math.log(highlight.contrast) / (2.0 * highlight.width)
         middle = 2.0 * (rings[1] * _circle()).mean(1) / slope
@@ -114,8 +117,8 @@ class Problem:
     """(n, n) Hessian of the prior's cost."""
     unit: float
     """Cost of a nat of the prior."""
-    shoulder: float = 0.0
-    """Shoulder of the tone curve; 0 without one."""
+    shoulder: float | None = None
+    """Shoulder of the tone curve; None without one."""
     whitening: Tensor | None = None
     """(3, 3) of the channels of cells that no bound concerns; None for as they are."""
     conductor: bool = False
@@ -125,7 +128,7 @@ class Problem:
         """(3, n) log radiance at image coordinates (2, n), tone curve included."""
         unknowns = Unknowns.of(parameters)
         linear = log_radiance(unknowns, image, self.distance, conductor=self.conductor)
-        if self.shoulder == 0.0:  # no tone curve, whatever the exponent
+        if self.shoulder is None:  # no tone curve, whatever the exponent
             return linear
         # The logarithm of ToneCurve.developed().
         power = unknowns.tone.exp() * linear

@@ -101,8 +101,8 @@ def correction(material: Material, plane: Plane, seed: int) -> Correction:
             if share is None:
                 share = _diffuse_share(now, clean, material, points)
             seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
-            unclipped = (plane.linear.amax(0) < _CLIPPED) & (seen.amax(0) < _CLIPPED)
-            compared = plane.valid & unclipped
+            bright = torch.maximum(plane.linear.amax(0), seen.amax(0))
+            compared = plane.valid & (bright < _CLIPPED * plane.encoding.limit)
             if float(compared.float().mean()) < _LEAST_SEEN:
                 break
             log = plane.encoding.log(seen[None])

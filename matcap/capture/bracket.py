@@ -1,0 +1,480 @@
+"""Brackets: photographs from one place at several exposures, merged into one radiance.
+
+Photographs are a bracket if their exposures are a stop or more apart and their cameras are less
+than _NEAR of the distance apart. That is measured by aligning each to the first: a homography of
+the sample's plane, fitted to the shifts of tiles at which normalised contrast correlates best.
+With d the distance, n the normal and t the way of the camera, it is
+R + t n^T / d, whose largest and smallest singular values differ by |t| / d.
+
+Values become light by the pictures' common tone curve (photo/response.py). Each pixel is then the
+mean of what the photographs measure there, weighted by the inverse of their variances. Clipped and
+almost clipped values are left out, and what moved or is aligned wrongly: where a photograph
+deviates from the brightest unclipped one by more than _DEVIATES. White is that of the longest
+exposure.
+
+In come photographs, out goes one that clips where the shortest exposure clips (Photo.headroom).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from matcap.capture.registration.keypoints import normalise_contrast
+from matcap.errors import MatcapError
+from matcap.files.quiet import quiet_decoders
+from matcap.files.srgb import srgb_slope
+from matcap.photo.exif import read_exif
+from matcap.photo.load import load_photo
+from matcap.photo.photo import FULL, Photo
+from matcap.photo.response import Ratio, Tones, fit_ratio
+from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
+from matcap.photo.tone import ToneCurve
+
+Picture = NDArray[np.float32]
+Matrix = NDArray[np.float64]
+
+MOST = 5  # photographs of a bracket
+LEAST_STOPS, MOST_STOPS = 0.75, 7.0  # between two of them; 1 to 6, with an error of metadata
+_LEAST_DARKER = 0.4  # stops between medians of values, which a shoulder brings nearer to another
+_NEAR = 0.05  # way of the camera over its distance
+_DETECTED = 1024  # pixels across at which photographs are compared
+# Alignment: pixels across of the tiles' grid and of the first, whole shift; pixels of a tile.
+_COLUMNS, _WHOLE, _TILE = 1024, 256, 128
+_ROUNDS = 3
+_FARTHEST = 0.2  # of a side: standard deviation by which nearer shifts are preferred
+_INLIER = 1.0  # pixels by which a tile's shift may differ from the homography's
+_LEAST_CORRELATION = 0.08  # of a tile's contrast, where a dark picture's is half noise
+_LEAST_TILES, _LEAST_AGREEING = 10, 0.4  # number, and share, of tiles that agree
+_SAME_SHAPE = 0.02  # difference of heights over the width
+_LEVEL = 128.0  # of normalised contrast, where there is none
+_DARKEST_CODES = 6.0  # steps of 8-bit codes, below which developed values are not compared
+_SAME_LIGHT = 0.15  # largest standard deviation of log ratio by tone; a room's light has more
+_BRIGHTEST = 0.9  # of the clip level, above which values are not compared
+_FADES = (0.8, FULL)  # of the clip level: weight falls to 0 between these
+_SPREAD = 1.5  # pixels, standard deviation of the blur of clipping
+_DEVIATES = 0.25  # log light; larger local differences are motion or misregistration
+_LOCAL = 2.0  # pixels, standard deviation of their averages
+_NOISE_AROUND = 4.0  # pixels, standard deviation of averages of its variance
+_SHOT = 1.0 / 6000.0  # variance of light over light, white being 1, of a sensor that is not known
+
+
+def find_brackets(paths: Sequence[Path], *, fov: float | None = None) -> list[tuple[Path, ...]]:
+    """Paths in their order, those of a bracket in one tuple at the place of its first.
+
+    Only neighbours in the order given are compared. Files that cannot be read are on their own.
+    """
+    groups: list[list[int]] = []
+    stated = [_stated(path) for path in paths] if len(paths) > 1 else []
+    with quiet_decoders():
+        for number in range(len(paths)):
+            group = groups[-1] if groups else []
+            if (
+                0 < len(group) < MOST
+                and all(_may_belong(stated[number], stated[other]) for other in group)
+                and _belong([paths[each] for each in (*group, number)], fov)
+            ):
+                group.append(number)
+            else:
+                groups.append([number])
+    return [tuple(paths[number] for number in group) for group in groups]
+
+
+@dataclass(frozen=True)
+class _Stated:
+    """What a file says without its pixels."""
+
+    exposure: float | None
+    camera: str
+    fired: bool | None
+
+
+def _stated(path: Path) -> _Stated:
+    try:
+        exif = read_exif(path)
+    except OSError:
+        return _Stated(None, "", None)
+    return _Stated(exif.exposure, exif.camera, exif.flash_fired)
+
+
+def _may_belong(own: _Stated, other: _Stated) -> bool:
+    """Whether metadata allows that two photographs belong to a bracket."""
+    if own.camera != other.camera or (own.fired is False) != (other.fired is False):
+        return False
+    if own.exposure is None or other.exposure is None:
+        return True
+    return LEAST_STOPS < abs(math.log2(own.exposure / other.exposure)) < MOST_STOPS
+
+
+def _belong(paths: Sequence[Path], fov: float | None) -> bool:
+    """Whether photographs show the same from one place at several exposures."""
+    try:
+        photos = [load_photo(path, long_side=_DETECTED, fov=fov, noise=False) for path in paths]
+    except MatcapError:
+        return False
+    return aligned_bracket(photos) is not None
+
+
+@dataclass(frozen=True)
+class _Aligned:
+    """A photograph on the pixels of the first."""
+
+    photo: Photo
+    """The photograph itself."""
+    pixels: Picture
+    """(H, W, 3) its values, resampled."""
+    usable: NDArray[np.bool_]
+    """(H, W, 3) inside of it and not clipped."""
+    noise: Picture | None
+    """(H, W, 3) its noise, resampled."""
+
+    @cached_property
+    def grey(self) -> Picture:
+        """(H, W) mean of its channels."""
+        return np.asarray(self.pixels.mean(axis=2), np.float32)
+
+    @property
+    def tones(self) -> Tones:
+        """What is known of its tone curve."""
+        return Tones(not self.photo.tone_mapped, self.photo.development)
+
+    @property
+    def faintest(self) -> float:
+        """Value below which it is not compared."""
+        if self.photo.radiometric or self.photo.floating:
+            return 1e-3
+        return _DARKEST_CODES / (255.0 * 12.92)
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """Photographs on the pixels of the first given, with their light."""
+
+    views: tuple[_Aligned, ...]
+    """In the order given."""
+    factors: tuple[float, ...]
+    """Light of the longest exposure over that of each, at least 1."""
+    curves: tuple[ToneCurve, ...]
+    """Tone curve of each."""
+
+    @property
+    def stops(self) -> tuple[float, ...]:
+        """Stops of each from the longest exposure, at least 0."""
+        return tuple(math.log2(factor) for factor in self.factors)
+
+    def light(self, number: int) -> Picture:
+        """(H, W, 3) light by one photograph, in units of the longest exposure's white."""
+        values = self.curves[number].linear(self.views[number].pixels)
+        return np.asarray(np.float32(self.factors[number]) * values, np.float32)
+
+    def merged(self) -> Photo:
+        """One photograph of their radiance, in units of the longest exposure's white."""
+        first = self.views[0].photo
+        total, weights = np.zeros_like(first.pixels), np.zeros_like(first.pixels)
+        noise = np.zeros_like(total)
+        longest_first = np.argsort(self.factors, kind="stable").tolist()
+        for number in longest_first:
+            view, light = self.views[number], self.light(number)
+            weight = self._weight(number)
+            if number != longest_first[0]:
+                weight = weight * _agreement(light, total, weights)
+            total += weight * light
+            weights += weight
+            if view.noise is not None:
+                noise += weight * np.float32(self.factors[number]) * view.noise
+        measured = weights > 0.0
+        weights = np.maximum(weights, np.float32(1e-30))
+        clipped = np.asarray(~measured.all(axis=2))
+        headroom = max(
+            factor * float(curve.linear(np.array(view.photo.headroom)))
+            for view, factor, curve in zip(self.views, self.factors, self.curves, strict=True)
+        )
+        longest = longest_first[0]
+        linear = all(not view.photo.tone_mapped for view in self.views)
+        return replace(
+            first,
+            pixels=np.where(measured, total / weights, self.light(longest_first[0])),
+            clipped=clipped,
+            stored_clipped_share=float(clipped.mean()),
+            headroom=headroom,
+            noise=noise / weights if all(v.noise is not None for v in self.views) else None,
+            radiometric=all(view.photo.radiometric for view in self.views),
+            floating=any(view.photo.floating for view in self.views) and linear,
+            exposure=self.views[longest].photo.exposure,
+            tone=self.curves[longest],
+            notes=(*first.notes, *self._notes()),
+        )
+
+    def _notes(self) -> tuple[str, ...]:
+        others = [
+            f"{view.photo.name} ({stops - self.stops[0]:+.1f} stops darker)"
+            for view, stops in zip(self.views[1:], self.stops[1:], strict=True)
+        ]
+        own = (f"{v.photo.name}: {note}" for v in self.views[1:] for note in v.photo.notes)
+        return (f"A bracket, merged with {', '.join(others)}.", *own)
+
+    def _weight(self, number: int) -> Picture:
+        """(H, W, 3) inverse variance of a photograph's light over the light squared, faded out
+        towards its clip level.
+        """
+        view, curve = self.views[number], self.curves[number]
+        photo, values = view.photo, np.maximum(view.pixels, np.float32(1e-6))
+        if view.noise is not None:
+            variance = cv2.GaussianBlur(np.square(view.noise), (0, 0), _NOISE_AROUND)
+        else:
+            variance = _SHOT * values + np.float32(1e-7)
+            if not photo.floating:
+                step = 1.0 / (255.0 * srgb_slope(np.minimum(values, 1.0)))
+                variance = variance + np.square(step) / 3.0
+        # Of the logarithm of light, by the curve's slope d log x / d log y = 1 / (c (1 - w y)).
+        slope = 1.0 / (curve.exponent * np.maximum(1.0 - curve.shoulder * values, 0.05))
+        relative = variance * np.square(slope / values)
+        low, high = (share * min(photo.headroom, 1e30) for share in _FADES)
+        fade = np.clip((high - values.max(axis=2)) / (high - low), 0.0, 1.0)[..., None]
+        weight = fade / (relative * np.square(self.light(number)) + np.float32(1e-12))
+        return np.asarray(np.where(view.usable, weight, 0.0), np.float32)
+
+
+def _agreement(light: Picture, total: Picture, weights: Picture) -> Picture:
+    """(H, W, 1) 1 where light agrees with what longer exposures measure, or they do not, else 0."""
+    both = (weights > 0.0) & (light > 0.0)
+    known = np.maximum(total, 1e-6) / np.maximum(weights, 1e-30)
+    ratio = np.where(both, np.log(np.maximum(light, 1e-6)) - np.log(np.maximum(known, 1e-6)), 0.0)
+    around, of = (
+        cv2.GaussianBlur(np.asarray(each, np.float32).mean(axis=2), (0, 0), _LOCAL)
+        for each in (ratio, both)
+    )
+    moved = (of > 1e-3) & (np.abs(around) > _DEVIATES * np.maximum(of, 1e-3))
+    return np.asarray(~moved, np.float32)[..., None]
+
+
+def aligned_bracket(photos: Sequence[Photo]) -> Bracket | None:
+    """The bracket of photographs, aligned to the first; None if they are none."""
+    if not 2 <= len(photos) <= MOST:
+        return None
+    medians = sorted(math.log2(max(float(np.median(p.pixels[::4, ::4])), 1e-9)) for p in photos)
+    if any(b - a < _LEAST_DARKER for a, b in zip(medians, medians[1:], strict=False)):
+        return None
+    views = [_itself(photos[0])]
+    for photo in photos[1:]:
+        homography = alignment(photos[0], photo)
+        if homography is None or way_of_camera(homography, photos[0], photo) > _NEAR:
+            return None
+        views.append(_resampled(photo, homography, photos[0].pixels.shape[:2]))
+    order = sorted(range(len(views)), key=lambda number: -float(np.median(views[number].grey)))
+    factors, curve = {order[0]: 1.0}, None
+    for brighter, darker in zip(order, order[1:], strict=False):
+        ratio = _ratio(views[brighter], views[darker], curve)
+        if ratio is None or ratio.residual > _SAME_LIGHT:
+            return None
+        if not LEAST_STOPS < -math.log2(ratio.darker) < MOST_STOPS:
+            return None
+        factors[darker] = factors[brighter] / ratio.darker
+        curve = curve or ratio.curve
+    curves = (ToneCurve() if v.tones.linear else curve or ToneCurve() for v in views)
+    return Bracket(
+        tuple(views), tuple(factors[number] for number in range(len(views))), tuple(curves)
+    )
+
+
+def merge_bracket(photos: Sequence[Photo]) -> Photo:
+    """One photograph of a bracket, on the pixels of the first.
+
+    Raises:
+        MatcapError: they are no bracket at this resolution.
+    """
+    bracket = aligned_bracket(photos)
+    if bracket is None:
+        names = ", ".join(photo.name for photo in photos[1:])
+        raise MatcapError.at(
+            photos[0].name,
+            f"is not of the same place and light as {names}",
+            "give them with --together, or each on its own",
+        )
+    return bracket.merged()
+
+
+def alignment(first: Photo, second: Photo) -> Matrix | None:
+    """(3, 3) homography from places in the first photograph to those in the second, (x, y, 1).
+
+    In units of the first's width and of the second's, from the upper left. None if their contrast
+    does not agree on one.
+    """
+    columns = min(_COLUMNS, first.pixels.shape[1], second.pixels.shape[1])
+    (fixed, seen), (moving, _) = (_contrast(each, columns) for each in (first, second))
+    if abs(len(fixed) - len(moving)) > _SAME_SHAPE * columns:
+        return None
+    shift = _shifts(*(_whole(each) for each in (fixed, moving)))[0][0] * (columns / _WHOLE)
+    warp = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
+    starts = [warp, np.eye(3)]
+    places = _tiles(seen)
+    if len(places) < _LEAST_TILES:
+        return None
+    best = max((_refined(fixed, moving, places, start) for start in starts), key=lambda r: r[1])
+    homography, agreeing = best
+    if agreeing < max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
+        return None
+    units = np.diag([columns, columns, 1.0])
+    centre = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
+    return np.asarray(np.linalg.inv(centre @ units) @ homography @ centre @ units)
+
+
+def _refined(
+    fixed: Picture, moving: Picture, places: NDArray[np.int64], warp: Matrix
+) -> tuple[Matrix, int]:
+    """A homography (3, 3) of pixels fitted to shifts of tiles, and how many tiles agree on it."""
+    size, count = fixed.shape[::-1], 0
+    middles = (places + 0.5 * (_TILE - 1)).astype(np.float64)
+    for _ in range(_ROUNDS):
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        near = np.asarray(cv2.warpPerspective(moving, warp, size, flags=flags), np.float32)
+        cut = [np.stack([each[y : y + _TILE, x : x + _TILE] for x, y in places])
+               for each in (fixed, near)]  # fmt: skip
+        shifts, strength = _shifts(*cut)
+        usable = strength > _LEAST_CORRELATION
+        if usable.sum() < _LEAST_TILES:
+            return warp, 0
+        found, kept = cv2.findHomography(
+            middles[usable], (middles + shifts)[usable], cv2.RANSAC, _INLIER
+        )
+        if found is None:
+            return warp, 0
+        warp, count = warp @ found, int(kept.sum())
+    return warp, count
+
+
+def _shifts(fixed: Picture, moving: Picture) -> tuple[Matrix, NDArray[np.float64]]:
+    """(n, 2) shifts (x, y) in pixels from pictures (n, h, w) to others, and their correlation.
+
+    The maximum of the circular cross-correlation under a Hann window, to a fraction of a pixel by
+    a parabola; smaller shifts are preferred, as patterns repeat.
+    """
+    count, height, width = fixed.shape
+    window = np.hanning(height)[:, None] * np.hanning(width)
+    first, second = (np.fft.rfft2(each * window) for each in (fixed, moving))
+    correlation = np.fft.irfft2(np.conj(first) * second, (height, width))
+    power = np.sqrt(np.prod([np.square(each * window).sum((1, 2)) for each in (fixed, moving)], 0))
+    y, x = (np.fft.fftfreq(side) for side in (height, width))
+    nearer = np.exp(-0.5 * (np.square(y)[:, None] + np.square(x)) / _FARTHEST**2)
+    peak = (correlation * nearer).reshape(count, -1).argmax(1)
+    row, column, every = peak // width, peak % width, np.arange(count)
+    here = correlation[every, row, column]
+
+    def vertex(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+        bend = np.minimum(low + high - 2.0 * here, -1e-12)
+        return np.asarray(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
+
+    up, down = correlation[every, row - 1, column], correlation[every, (row + 1) % height, column]
+    left, right = correlation[every, row, column - 1], correlation[every, row, (column + 1) % width]
+    shifts = np.stack([x[column] * width + vertex(left, right), y[row] * height + vertex(up, down)])
+    return shifts.T, here / np.maximum(power, 1e-12)
+
+
+def _tiles(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n, 2) upper left corners (x, y) of tiles most of which is usable."""
+    height, width = seen.shape
+    step = _TILE // 2
+    corners = [
+        (x, y)
+        for y in range(0, height - _TILE + 1, step)
+        for x in range(0, width - _TILE + 1, step)
+        if seen[y : y + _TILE, x : x + _TILE].mean() > 0.5
+    ]
+    return np.array(corners, np.int64).reshape(-1, 2)
+
+
+def _whole(contrast: Picture) -> Picture:
+    """(1, h, _WHOLE) all of a picture's contrast."""
+    rows = round(_WHOLE * contrast.shape[0] / contrast.shape[1])
+    rows = 2 * (rows // 2)
+    return area_averaged(contrast, (_WHOLE, rows))[None]
+
+
+def way_of_camera(homography: Matrix, first: Photo, second: Photo) -> float:
+    """Way of the camera between two photographs, over the distance of the plane."""
+    sides = [photo.pixels.shape[0] / photo.pixels.shape[1] for photo in (first, second)]
+    focal = [0.5 / math.tan(math.radians(photo.fov) / 2.0) for photo in (first, second)]
+    lens = [
+        np.array([[f, 0.0, 0.5], [0.0, f, side / 2.0], [0.0, 0.0, 1.0]])
+        for f, side in zip(focal, sides, strict=True)
+    ]
+    values = np.linalg.svd(np.linalg.inv(lens[1]) @ homography @ lens[0], compute_uv=False)
+    return float((values[0] - values[2]) / values[1])
+
+
+def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
+    """(h, w) normalised contrast at so many pixels across, and where it is usable."""
+    rows = round(columns * photo.pixels.shape[0] / photo.pixels.shape[1])
+    size = (columns, rows)
+    grey = area_averaged(photo.pixels, size).mean(axis=2)
+    full = area_averaged(photo.clipped.astype(np.float32), size)
+    seen = cv2.erode((full < CLIPPED_SHARE).astype(np.uint8), np.ones((5, 5), np.uint8))
+    dark = grey < 1e-4
+    usable = (seen > 0) & ~dark
+    contrast = np.where(usable, normalise_contrast(grey).astype(np.float32) - _LEVEL, 0.0)
+    return np.asarray(contrast, np.float32), usable
+
+
+def _itself(photo: Photo) -> _Aligned:
+    usable = ~_spread_clipping(photo)[..., None].repeat(3, 2)
+    return _Aligned(photo, photo.pixels, usable, photo.noise)
+
+
+def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...]) -> _Aligned:
+    """A photograph on the pixels of another of shape (H, W)."""
+    rows, columns = shape
+    own = photo.pixels.shape[1]
+    # From pixel centres of the first, to units of widths, to those of the second.
+    here = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, columns]]) / columns
+    there = np.array([[own, 0.0, -0.5], [0.0, own, -0.5], [0.0, 0.0, 1.0]])
+    warp = there @ homography @ here
+
+    def seen(picture: Picture, how: int, border: int = cv2.BORDER_REPLICATE) -> Picture:
+        flags = how | cv2.WARP_INVERSE_MAP
+        return np.asarray(
+            cv2.warpPerspective(picture, warp, (columns, rows), flags=flags, borderMode=border),
+            np.float32,
+        )
+
+    pixels = np.maximum(seen(photo.pixels, cv2.INTER_CUBIC), 0.0)
+    clipped = seen(_spread_clipping(photo).astype(np.float32), cv2.INTER_LINEAR) > 0.01
+    inside = seen(np.ones(photo.clipped.shape, np.float32), cv2.INTER_LINEAR, cv2.BORDER_CONSTANT)
+    usable = ~clipped & (inside > 0.99)
+    noise = None if photo.noise is None else seen(photo.noise, cv2.INTER_CUBIC)
+    return _Aligned(photo, pixels, usable[..., None].repeat(3, 2), noise)
+
+
+def _spread_clipping(photo: Photo) -> NDArray[np.bool_]:
+    """(H, W) clipped pixels and those that their blur reaches."""
+    blurred = cv2.GaussianBlur(photo.clipped.astype(np.float32), (0, 0), _SPREAD)
+    return np.asarray(blurred > 0.05)
+
+
+def _ratio(brighter: _Aligned, darker: _Aligned, curve: ToneCurve | None) -> Ratio | None:
+    """The ratio of exposures of two photographs, by the pixels that both show.
+
+    `curve` is that of all that are not linear, if it is known.
+    """
+    both = (brighter.usable & darker.usable).all(axis=2)
+    y, z = (cv2.GaussianBlur(view.grey, (0, 0), 2.0) for view in (brighter, darker))
+    both &= (y > brighter.faintest) & (z > darker.faintest)
+    both &= brighter.pixels.max(axis=2) < _BRIGHTEST * brighter.photo.headroom
+    values = [np.asarray(grey[both], np.float64) for grey in (y, z)]
+    tones = [view.tones for view in (brighter, darker)]
+    if curve is not None:
+        values = [
+            each if tone.linear else np.asarray(curve.linear(each))
+            for each, tone in zip(values, tones, strict=True)
+        ]
+        tones = [replace(tone, linear=True) for tone in tones]
+    stated = None
+    if brighter.photo.exposure is not None and darker.photo.exposure is not None:
+        stated = darker.photo.exposure / brighter.photo.exposure
+    return fit_ratio(values[0], values[1], (tones[0], tones[1]), stated)

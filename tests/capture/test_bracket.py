@@ -1,0 +1,216 @@
+"""Brackets: found by place and exposure, aligned, and merged into one radiance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from matcap.capture.bracket import (
+    aligned_bracket,
+    alignment,
+    find_brackets,
+    merge_bracket,
+    way_of_camera,
+)
+from matcap.errors import MatcapError
+from matcap.files.srgb import srgb_decode, srgb_encode
+from matcap.photo.photo import Photo
+from matcap.photo.tone import ToneCurve
+
+WIDTH, HEIGHT, FOV = 640, 480, 66.0
+CURVE = ToneCurve(1.3, 0.57)
+
+
+def scene(seed: int = 0, peak: float = 8.0) -> np.ndarray:
+    """(H, W, 3) float32 light: coloured texture under a flash, its highlight `peak` times white."""
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    texture = sum(
+        cv2.resize(random.standard_normal((HEIGHT // s, WIDTH // s, 1)), (WIDTH, HEIGHT))
+        for s in (2, 4, 8, 16)
+    )
+    squared = ((x - WIDTH / 2) ** 2 + (y - HEIGHT / 2) ** 2) / WIDTH**2
+    light = 0.25 * np.exp(0.15 * texture - 2.0 * squared) + peak * np.exp(-squared / 0.002)
+    return (light[..., None] * np.array([1.0, 0.8, 0.6])).astype(np.float32)
+
+
+def taken(light, k=1.0, *, tone=None, raw=False, seed=1, exposure=True, **more) -> Photo:
+    """A photograph of light, with noise and clipping."""
+    random = np.random.default_rng(seed)
+    sensor = k * light
+    sensor = sensor + np.sqrt(np.maximum(sensor, 0) / 6000 + 2e-7) * random.standard_normal(
+        light.shape
+    )
+    sensor = np.clip(sensor, 0.0, 1.0).astype(np.float32)
+    if not raw:
+        code = np.round(255 * srgb_encode((tone or CURVE).developed(sensor).astype(np.float64)))
+        sensor = srgb_decode(code / 255.0).astype(np.float32)
+    return Photo(
+        pixels=sensor,
+        clipped=(sensor >= 0.99).any(axis=2),
+        fov=FOV,
+        fov_source="given",
+        radiometric=raw,
+        name=f"{k:g}.jpg",
+        original_size=(WIDTH, HEIGHT),
+        exposure=k if exposure else None,
+        **more,
+    )
+
+
+def moved(light, degrees=0.5):
+    """Light as a camera sees it that was turned, and the homography to it in units of the width."""
+    focal = 0.5 / math.tan(math.radians(FOV) / 2)
+    lens = np.array([[focal, 0, 0.5], [0, focal, HEIGHT / WIDTH / 2], [0, 0, 1.0]])
+    turn, _ = cv2.Rodrigues(np.radians([degrees, -0.7 * degrees, 0.4 * degrees]))
+    warp = lens @ turn @ np.linalg.inv(lens)
+    units, centre = np.diag([WIDTH, WIDTH, 1.0]), np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]])
+    pixels = centre @ units @ warp @ np.linalg.inv(centre @ units)
+    seen = cv2.warpPerspective(light, pixels, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REFLECT_101)
+    return np.maximum(seen, 1e-4), warp
+
+
+def error(photo: Photo, light: np.ndarray) -> np.ndarray:
+    """(H, W) absolute log ratio of smoothed luminance to light, up to one factor, inside."""
+    a, b = (cv2.GaussianBlur(each.mean(axis=2), (0, 0), 1.5) for each in (photo.pixels, light))
+    ratio = np.log(a) - np.log(b)
+    inner = ratio[20:-20, 20:-20]
+    return np.abs(inner - np.median(inner))
+
+
+def test_alignment_finds_the_cameras_turn():
+    light = scene()
+    other, warp = moved(light)
+    first, second = taken(light), taken(other, 1 / 16, seed=2)
+    found = alignment(first, second)
+    corners = np.array([[0.1, 0.9, 0.1, 0.9], [0.1, 0.1, 0.65, 0.65], [1, 1, 1, 1.0]])
+    off = [(each @ corners)[:2] / (each @ corners)[2] for each in (found, warp)]
+    assert np.abs(off[0] - off[1]).max() * WIDTH < 0.5
+    assert way_of_camera(found, first, second) < 0.005
+
+
+@pytest.mark.parametrize("stops", [1, 2, 4, 6])
+def test_a_bracket_measures_what_one_photograph_clips(stops):
+    light = scene(peak=0.6 * 2.0**stops)
+    other, _ = moved(light)
+    photos = [taken(light), taken(other, 2.0**-stops, seed=2)]
+    merged = merge_bracket(photos)
+    assert photos[0].clipped.mean() > 0.002 and not merged.clipped[20:-20, 20:-20].any()
+    assert not merged.tone_mapped and merged.headroom > 0.9 * 2.0**stops
+    off = error(merged, light)
+    assert np.median(off) < 0.04 and np.quantile(off, 0.99) < 0.25
+    assert "stops darker" in merged.notes[0]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 1, 0)])
+def test_three_exposures_in_any_order(order):
+    light = scene(peak=12.0)
+    views = [light, moved(light, 0.4)[0], moved(light, -0.3)[0]]
+    exposures = [1.0, 1 / 4, 1 / 16]
+    photos = [taken(views[k], exposures[k], seed=k) for k in order]
+    merged = merge_bracket(photos)
+    off = error(merged, views[order[0]])
+    assert np.median(off) < 0.05 and merged.clipped.mean() < 0.001
+
+
+def test_raw_exposures_stay_linear():
+    light = scene()
+    photos = [taken(light, raw=True), taken(moved(light)[0], 1 / 16, raw=True, seed=2)]
+    photos = [replace(photo, noise=0.01 * photo.pixels) for photo in photos]
+    merged = merge_bracket(photos)
+    assert merged.radiometric and merged.noise is not None
+    assert np.quantile(error(merged, light), 0.95) < 0.06
+
+
+def test_raw_and_jpeg_mix():
+    light = scene()
+    photos = [taken(light), taken(moved(light)[0], 1 / 16, raw=True, seed=2)]
+    merged = merge_bracket(photos)
+    assert not merged.radiometric and np.median(error(merged, light)) < 0.05
+
+
+def test_an_unknown_exposure_is_measured():
+    light = scene()
+    photos = [taken(light, exposure=False), taken(moved(light)[0], 1 / 16, exposure=False, seed=2)]
+    merged = merge_bracket(photos)
+    assert merged.headroom == pytest.approx(16.0, rel=0.6)
+    assert not merged.clipped[20:-20, 20:-20].any()
+
+
+def test_what_moved_is_left_out():
+    light = scene(peak=2.0)
+    other = moved(light)[0].copy()
+    other[60:120, 60:160] *= 3.0
+    merged = merge_bracket([taken(light), taken(other, 1 / 4, seed=2)])
+    assert np.quantile(error(merged, light), 0.99) < 0.25
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        lambda light: taken(light, 0.8, seed=2),
+        lambda light: taken(scene(5), 1 / 16, seed=2),
+        lambda light: taken(
+            cv2.warpAffine(light, np.float32([[1.12, 0, -40], [0, 1.12, -30]]), (WIDTH, HEIGHT)),
+            1 / 16,
+            seed=2,
+        ),
+        lambda light: taken(np.full_like(light, 0.2), 1 / 8, seed=2),
+    ],
+    ids=["same exposure", "another sample", "nearer", "other light"],
+)
+def test_other_photographs_are_no_bracket(second):
+    light = scene()
+    photos = [taken(light), second(light)]
+    assert aligned_bracket(photos) is None
+    with pytest.raises(MatcapError, match="same place"):
+        merge_bracket(photos)
+
+
+def saved(path, photo: Photo, exposure: float | None, camera: str = "phone"):
+    """A photograph's pixels as a JPEG with Exif."""
+    codes = np.round(255 * srgb_encode(photo.pixels.astype(np.float64))).astype(np.uint8)
+    exif = Image.Exif()
+    exif.update({271: "maker", 272: camera})
+    if exposure is not None:
+        exif.get_ifd(34665).update({33434: exposure / 100, 33437: 2.0, 34855: 100, 37385: 1})
+    Image.fromarray(codes).save(path, quality=95, exif=exif)
+    return path
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_brackets_among_files_are_found(tmp_path, stated):
+    light, other = scene(), scene(7)
+    turned = moved(light)[0]
+    shown = [
+        (taken(light), 1.0), (taken(turned, 1 / 16, seed=2), 1 / 16),
+        (taken(other, seed=3), 1.0), (taken(scene(8), 1 / 2, seed=4), 1 / 2),
+    ]  # fmt: skip
+    paths = [
+        saved(tmp_path / f"{k}.jpg", photo, exposure if stated else None)
+        for k, (photo, exposure) in enumerate(shown)
+    ]
+    found = find_brackets(paths)
+    assert found == [(paths[0], paths[1]), (paths[2],), (paths[3],)]
+    assert find_brackets(paths[:1]) == [(paths[0],)]
+
+
+def test_metadata_decides_before_pixels_do(tmp_path):
+    light = scene()
+    paths = [
+        saved(tmp_path / "a.jpg", taken(light), 1.0),
+        saved(tmp_path / "b.jpg", taken(light, 1 / 16, seed=2), 0.9),
+        saved(tmp_path / "c.jpg", taken(light, 1 / 16, seed=2), 1 / 16, camera="another"),
+    ]
+    assert [len(group) for group in find_brackets(paths)] == [1, 1, 1]
+
+
+def test_files_that_cannot_be_read_are_alone(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"no picture")
+    paths = [tmp_path / "a.jpg", tmp_path / "missing.jpg"]
+    assert find_brackets(paths) == [(path,) for path in paths]
