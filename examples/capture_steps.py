@@ -23,14 +23,16 @@ from matcap.capture.exemplar.estimate import (
     measured_spectrum,
     scaled_to_spectrum,
 )
-from matcap.capture.exemplar.exposure_prior import most_probable_scale, scaled
 from matcap.capture.exemplar.inpaint import inpainted
+from matcap.capture.exemplar.mean_parameters import (
+    most_probable_scale,
+    scaled,
+)
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
 from matcap.capture.exemplar.refine import refine_maps
-from matcap.capture.rectified import Rectified
-from matcap.capture.tilt import fit_photograph
+from matcap.capture.rectified import Rectified, fit_photograph
 from matcap.field.material import Material
 from matcap.photo.photo import Photo
 

@@ -14,14 +14,19 @@ from pathlib import Path
 import torch
 from materials import SMALL, a_material
 
-from matcap.field.blocks import BLOCK, BLOCK_HEIGHT
-from matcap.field.field import Field
 from matcap.field.material import Material
-from matcap.field.plane import Rectangle
-from matcap.space.decoder import DEPTH, maps_from_raw
-from matcap.space.drawing import Drawing
-from matcap.space.patch import Patch
-from matcap.space.random_field import random_field
+from matcap.field.plane import (
+    BLOCK,
+    BLOCK_HEIGHT,
+    Rectangle,
+)
+from matcap.field.source import Field
+from matcap.space.decoder import (
+    DEPTH,
+    maps_from_raw,
+)
+from matcap.space.freeze import Drawing
+from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 

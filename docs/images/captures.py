@@ -21,12 +21,18 @@ from PIL import Image
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
-from matcap.files.srgb import srgb_picture
+from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
-from matcap.relight.named import SCENES
 from matcap.relight.output import encode
 from matcap.relight.render import relight
-from matcap.relight.scene import Film, PointLight, Scene, Surface, exposing_intensity
+from matcap.relight.scene import (
+    Film,
+    PointLight,
+    Scene,
+    Surface,
+    exposing_intensity,
+)
+from matcap.relight.scenefile import SCENES
 from matcap_lab.simulate.files import write_dng
 from matcap_lab.simulate.kinds import kind_of
 from matcap_lab.simulate.photograph import PhoneCamera, as_photo, take

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from matcap.files.srgb import srgb_picture
+from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.relight.render import relight
 from matcap.relight.scene import (
@@ -104,10 +104,12 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.pages import Pages
-    from matcap.view.references import find_references
-    from matcap.view.serve import listen
-    from matcap.view.server import make_app, new_address
+    from matcap.view.pages import Pages, find_references
+    from matcap.view.server import (
+        listen,
+        make_app,
+        new_address,
+    )
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])

@@ -22,7 +22,7 @@ from PIL import Image
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
-from matcap.files.srgb import srgb_picture
+from matcap.files.color import srgb_picture
 from matcap_lab.simulate.photograph import PhoneCamera, as_photo
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen, photograph, subjects
 

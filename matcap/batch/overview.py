@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from matcap.batch.entries import BatchEntry
-from matcap.batch.record import read_record
+from matcap.batch.work import BatchEntry, read_record
 from matcap.files.output import Output
-from matcap.files.values import spoken_duration
+from matcap.files.settings import spoken_duration
 
 _STATES = {
     "made": "done", "kept": "done", "failed": "failed", "left": "not begun", "todo": "not begun",

@@ -1,7 +1,4 @@
-"""Scheduling of a batch: which worker gets which sample, and how failures are retried.
-
-All state is in files: a batch that is killed and started again continues.
-"""
+"""A batch: list the samples and their states, capture those to do, retry failures; its forecast."""
 
 from __future__ import annotations
 
@@ -11,17 +8,40 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol, cast
 
-from matcap.batch.entries import BatchEntry, Policy
-from matcap.batch.settings import BatchSettings
-from matcap.batch.work import BatchJob, Failure
-from matcap.batch.worker_pool import BatchWorkers, Event
-from matcap.batch.workspace import Run
-from matcap.errors import ExitCode
-from matcap.files.progress import Progress
-from matcap.photo.calibrate import Calibration
+from matcap.batch.overview import write_index
+from matcap.batch.samples import BatchSettings, Grouping, ShotSample, find_samples, prior_hash
+from matcap.batch.work import (
+    FILE,
+    BatchEntry,
+    BatchJob,
+    Failure,
+    Policy,
+    Run,
+    do_job,
+    largest_worker,
+    make_plan,
+    open_run,
+    pool_size,
+    read_record,
+    settle_threads,
+)
+from matcap.batch.worker_pool import BatchWorkers, Event, Machines, Processes
+from matcap.capture.settings import resolve
+from matcap.errors import ExitCode, MatcapError
+from matcap.files.names import Progress
+from matcap.files.output import check_writable
+from matcap.files.process import free_bytes
+from matcap.files.settings import spoken_duration
+from matcap.photo.calibrate import Calibration, card_sentence, read_card
 from matcap.photo.checks import Rating
+
+# Scheduling of a batch: which worker gets which sample, and how failures are retried.
+#
+# All state is in files: a batch that is killed and started again continues.
+
 
 _POLL = 1.0  # seconds that events are waited for
 _PAGE_EVERY = 20.0  # least seconds between two updates of the index
@@ -206,3 +226,215 @@ def _unfit(entry: BatchEntry) -> bool:
     """Whether the verdict is doubtful or failed."""
     verdict = entry.record.get("verdict")
     return verdict is not None and not Rating(verdict["rating"]).fit
+
+
+# A batch in two steps: prepare (list the samples and their states), then capture them.
+
+
+_SETS_SAID = 12  # most groups of photographs that are listed before a batch starts
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A batch that is ready to run."""
+
+    out: Path
+    """The output folder."""
+    settings: BatchSettings
+    """Settings of the batch."""
+    entries: Sequence[BatchEntry]
+    """All samples with their states."""
+    worker_bytes: int
+    """Upper bound of a worker's memory."""
+    workers: int
+    """Number of worker processes."""
+    card: Calibration | None = None
+    """Calibration from a card's photograph, or None."""
+
+    @property
+    def todo(self) -> list[BatchEntry]:
+        """The samples that are still to be captured."""
+        return [entry for entry in self.entries if entry.state == "todo"]
+
+
+def prepare(
+    source: Path, out: Path, settings: BatchSettings, policy: Policy, show: Show
+) -> Prepared:
+    """List the samples of the folder `source` and determine their states; writes nothing.
+
+    Raises:
+        UsageError: settings contradict each other.
+        MatcapError: no such folder, no photographs in it, no such prior, an unwritable output.
+    """
+    resolve(settings.capture)  # raises where settings contradict each other
+    prior = prior_hash(settings.capture.prior)
+    group = cast(Grouping, settings.group)
+    cards = _cards(source, settings.card, out)
+    samples = find_samples(source, group=group, gap=settings.gap, without=(out, *cards))
+    for sentence in group_sentences(samples):
+        show.note(sentence)
+    card = read_card(cards[0], fov=settings.capture.fov) if cards else None
+    show.note(card_sentence(card))
+    check_writable(out, settings.outputs.room)
+    digest = card.digest if card else ""
+    entries = make_plan(samples, out, settings, policy, prior=prior, card=digest)
+    todo = [entry for entry in entries if entry.state == "todo"]
+    each = largest_worker(settings, [photo for e in todo for photo in e.sample.photos])
+    workers = pool_size(settings.jobs, each, len(todo))
+    if settings.jobs and workers < min(settings.jobs, len(todo)):
+        show.note(
+            f"Using {workers} workers instead of {settings.jobs}: each may need "
+            f"{each / 1e9:.1f} GB of memory, and {free_bytes() / 1e9:.1f} GB are free."
+        )
+    return Prepared(out, settings, entries, each, workers, card)
+
+
+def group_sentences(samples: Sequence[ShotSample]) -> list[str]:
+    """Sentences that list the groups of photographs that become one material each."""
+    sets = [sample for sample in samples if len(sample.photos) > 1]
+    said = [
+        f"{sample.name}: {len(sample.photos)} photographs of one sample "
+        f"({', '.join(photo.name for photo in sample.photos)})."
+        for sample in sets[:_SETS_SAID]
+    ]
+    if len(sets) > _SETS_SAID:
+        said.append(f"And {len(sets) - _SETS_SAID} more groups; --dry-run lists all.")
+    return [*said, "If they show different samples, use --group none."] if sets else []
+
+
+def _cards(source: Path, wanted: str, out: Path) -> list[Path]:
+    """Photographs of a calibration card, the one to use first; none of them is a sample."""
+    if wanted not in ("auto", "none"):
+        return [Path(wanted)]
+    if wanted == "none" or not source.is_dir():
+        return []
+    return [
+        file
+        for sample in find_samples(source, without=(out,))
+        if sample.photos[0].stem.casefold().startswith("card")
+        for file in (*sample.photos, *sample.superseded)
+    ]
+
+
+def work_off(
+    prepared: Prepared, policy: Policy, show: Show, scheduler: str | None = None
+) -> ExitCode:
+    """Capture all samples to do, and write the index.
+
+    Args:
+        prepared: by prepare(); its entries are updated.
+        scheduler: address of a dask cluster's; by default processes of this machine.
+
+    Raises:
+        MatcapError: the output cannot be written, or the scheduler does not answer.
+        KeyboardInterrupt: Ctrl-C; finished materials stay, the index is written.
+    """
+    out, entries = prepared.out, prepared.entries
+
+    def page() -> None:
+        try:
+            write_index(out, entries)
+        except MatcapError as error:
+            show.note(str(error))  # a failed index must not end the batch
+
+    with open_run(out) as run:
+        show.expect(len(entries))
+        for entry in entries:
+            if entry.state != "todo":
+                show.ended(entry)
+        workers: BatchWorkers
+        if scheduler is None:
+            workers = Processes(prepared.workers, do_job, settle_threads)
+        else:
+            workers = Machines(scheduler, do_job, settle_threads)
+        settings, card = prepared.settings, prepared.card
+        Batch(entries, run, workers, settings, policy, show, page, card).go()
+    return exit_code(entries, strict=policy.strict)
+
+
+# Predict a batch's time and disk space from the materials that it has made.
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Number of samples to do, with predicted time, disk space and memory."""
+
+    todo: int
+    """Samples to be captured."""
+    workers: int
+    """Worker processes."""
+    seconds_each: float | None
+    """Wall time, seconds, of a sample on one worker; None before a material is made."""
+    bytes_each: int
+    """Disk space of a material."""
+    worker_bytes: int
+    """Upper bound of a worker's memory."""
+    free_bytes: int
+    """Free disk space."""
+    measured: str
+    """What the speed was measured on, in words."""
+
+    @property
+    def seconds(self) -> float | None:
+        """Wall time of the whole batch, seconds, if nothing else uses the processor."""
+        if self.seconds_each is None:
+            return None
+        return self.seconds_each * -(-self.todo // self.workers)
+
+    def text(self) -> str:
+        """The prediction as a sentence."""
+        if not self.todo:
+            return "Nothing to do: all materials are made."
+        pace = "time unknown"
+        if self.seconds is not None and self.seconds_each is not None:
+            each = spoken_duration(self.seconds_each)
+            pace = f"about {spoken_duration(self.seconds)} of wall time, {each} each"
+        full = "" if self.bytes_each * self.todo < self.free_bytes else ", more than is free"
+        return (
+            f"{self.todo} to capture with {self.workers} workers: {pace} ({self.measured}); "
+            f"about {self.bytes_each * self.todo / 1e9:.2g} GB of disk{full}; "
+            f"at most {self.worker_bytes / 1e9:.1f} GB of memory a worker."
+        )
+
+    def document(self, entries: Sequence[BatchEntry]) -> dict[str, Any]:
+        """The prediction as JSON."""
+        rows = [
+            {
+                "name": entry.sample.name,
+                "photographs": [str(photo) for photo in entry.sample.photos],
+                "superseded": [str(photo) for photo in entry.sample.superseded],
+                "status": {"todo": "to do", "kept": "done"}.get(entry.state, entry.state),
+                "reason": entry.reason or None,
+            }
+            for entry in entries
+        ]
+        return {
+            "materials": rows,
+            "todo": self.todo,
+            "workers": self.workers,
+            "seconds": self.seconds,
+            "seconds_each": self.seconds_each,
+            "disk_bytes": self.bytes_each * self.todo,
+            "worker_bytes": self.worker_bytes,
+            "measured": self.measured,
+        }
+
+
+def predict(prepared: Prepared) -> Prediction:
+    """Predict time and disk space of the samples to do, from materials in the output.
+
+    Those count that were made with the same steps and detail.
+    """
+    settings, out = prepared.settings, prepared.out
+    wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
+    records = (read_record(file.parent) for file in sorted(out.glob(f"*/{FILE}")))
+    made = [one for one in records if one and (one.get("steps"), one.get("detail")) == wanted]
+    return Prediction(
+        len(prepared.todo),
+        prepared.workers,
+        sum(float(one["seconds"]) for one in made) / len(made) if made else None,
+        max((sum(one["files"].values()) for one in made), default=settings.outputs.room),
+        prepared.worker_bytes,
+        shutil.disk_usage(next(p for p in (out, *out.parents) if p.exists())).free,
+        f"measured on {len(made)} made before" if made else "no material is made yet",
+    )

@@ -1,30 +1,395 @@
-"""A worker's job: the photographs of one sample to its folder, written completely or not at all."""
+"""A worker's job: one sample to its folder, completely or not at all; memory, claims, records,
+states.
+"""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
 import resource
+import shutil
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import uuid
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from matcap.batch.record import write_record
-from matcap.batch.settings import BatchSettings
-from matcap.batch.workspace import Run
+from filelock import FileLock, Timeout
+
+from matcap.batch.samples import WORKSPACE, BatchSettings, ShotSample, identity
+from matcap.capture.rectified import UNION_TIMES
+from matcap.capture.report import output_files, refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
-from matcap.files.memory import keep_memory
-from matcap.files.output import write_error
-from matcap.files.progress import OnProgress, Progress
+from matcap.files.names import OnProgress, Progress, read_document
+from matcap.files.output import sync, write_error
+from matcap.files.process import cores, free_bytes, keep_memory
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult
     from matcap.capture.settings import CaptureSettings
     from matcap.photo.inspect import Inspection
+
+
+# The manifest in each material's folder: the hash of its inputs, and its files with their sizes.
+#
+# A material is done if its record has the requested identity and all files have their sizes. Files
+# are synced to disk before they are renamed to their final names, so a right size means a complete
+# file.
+
+
+FILE = "matcap-batch.json"
+FORMAT = "matcap batch record"
+VERSION = 1  # of the file
+_MOST_BYTES = 20_000_000  # thumbnails included
+
+
+def write_record(folder: Path, about: Mapping[str, Any]) -> None:
+    """Write the record of a staged folder, and sync all its files to disk.
+
+    Args:
+        folder: of a material, complete but for the record.
+        about: JSON entries, `identity` among them.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    files = {
+        file.relative_to(folder).as_posix(): file.stat().st_size
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
+    document = {"format": FORMAT, "version": VERSION, **about, "files": files}
+    text = json.dumps(document, indent=1, allow_nan=False)
+    (folder / FILE).write_text(text + "\n", encoding="utf-8")
+    for file in folder.rglob("*"):
+        sync(file)
+    sync(folder)
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record of a material's folder; None if there is none, or it cannot be read."""
+    file = folder / FILE
+    document = read_document(file, FORMAT) if (_size(file) or 0) <= _MOST_BYTES else None
+    if document is None or document.get("version") != VERSION:
+        return None
+    return document if isinstance(document.get("files"), dict) else None
+
+
+def is_done(folder: Path, identity: str) -> bool:
+    """Whether a folder holds the complete material of this identity."""
+    record = read_record(folder)
+    if record is None or record.get("identity") != identity:
+        return False
+    return all(_size(folder / name) == size for name, size in record["files"].items())
+
+
+def _size(file: Path) -> int | None:
+    try:
+        return file.stat().st_size
+    except (OSError, ValueError):  # ValueError: a name with a null character
+        return None
+
+
+# Memory of one worker, and the number of workers that fit.
+#
+# A sum of the libraries, the decoded photograph, a part proportional to the exemplar's texels and
+# one to the map set's. Measured on Linux, glibc (command in docs/notes/stability.md).
+
+
+_LIBRARIES = 1_150_000_000  # bytes, with the optimisation of one window
+_BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
+_BY_TEXEL = 400  # bytes a texel of the exemplar, detail x 3/4 detail
+_BY_MAP_TEXEL = 110  # bytes a texel of the map set
+_USUAL_PIXELS = 12_000_000  # assumed where a file cannot be read
+_SPARE = 0.85  # share of the free memory that workers may take
+_RAW_FORMS = ("RAW", "DNG")
+
+
+def worker_bytes(settings: BatchSettings, pixels: int, *, raw: bool) -> int:
+    """Upper bound of a worker's memory, in bytes.
+
+    Args:
+        pixels: of the largest photograph.
+        raw: whether that is a RAW file.
+    """
+    width, height = settings.outputs.size
+    detail = settings.capture.most_detail
+    return (
+        _LIBRARIES
+        + _BY_PIXEL["raw" if raw else "other"] * pixels
+        + _BY_TEXEL * detail * detail * 3 // 4 * (UNION_TIMES if settings.capture.union else 1)
+        + _BY_MAP_TEXEL * width * height
+    )
+
+
+def largest_worker(settings: BatchSettings, photos: Sequence[Path]) -> int:
+    """The largest worker_bytes over photographs."""
+    sizes = [photo_pixels(photo) for photo in photos] or [(_USUAL_PIXELS, False)]
+    return max(worker_bytes(settings, pixels, raw=raw) for pixels, raw in sizes)
+
+
+def photo_pixels(path: Path) -> tuple[int, bool]:
+    """Number of pixels by a file's header, and whether it is RAW; typical values if unreadable."""
+    from matcap.files.process import quiet_decoders
+    from matcap.photo.load import file_kind
+    from matcap.photo.photo import MOST_PIXELS
+
+    try:
+        with quiet_decoders():
+            raw = file_kind(path).value in _RAW_FORMS
+            if raw:
+                import rawpy
+
+                with rawpy.imread(str(path)) as file:
+                    return int(file.sizes.raw_width) * int(file.sizes.raw_height), True
+            from PIL import Image
+
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # Pillow's on large pictures
+                    with Image.open(path) as picture:
+                        return picture.width * picture.height, False
+            except Image.DecompressionBombError:  # above Pillow's limit
+                return MOST_PIXELS, False
+    except Exception:
+        return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
+
+
+def pool_size(wanted: int | None, each: int, jobs: int) -> int:
+    """Number of workers: `wanted`, else the cores; at most what fits in memory, and `jobs`.
+
+    Args:
+        wanted: by the user, or None.
+        each: bytes of a worker.
+    """
+    fit = int(_SPARE * free_bytes()) // max(1, each)
+    return max(1, min(wanted or cores(), fit, jobs))
+
+
+# Workspace of a batch in its output folder: staging, the lock of a run, known failures.
+#
+# OUT/leather/                     a material, complete or absent
+# OUT/.matcap-batch/lock           held by the run that writes here, one at a time
+# OUT/.matcap-batch/run/           staged and replaced folders of that run
+# OUT/.matcap-batch/failed/NAME    a sample that cannot be used, and why
+#
+# The system releases the lock when a process ends, however it ends; the next run then restores what
+# it had moved. Which materials are done is decided by work.py alone.
+#
+# A material is published by renaming its staged folder, whose files are synced to disk before
+# (work.py). After a power cut the name is the old folder or the new one, complete; or missing, if
+# the cut was between the two renames of a replacement, and then the next run restores the old one.
+
+
+@dataclass(frozen=True)
+class Run:
+    """The run of a batch that writes into an output folder."""
+
+    out: Path
+    """The output folder."""
+
+    @property
+    def folder(self) -> Path:
+        """Its staged and replaced folders."""
+        return self.out / WORKSPACE / "run"
+
+    def stage(self, name: str) -> Path:
+        """Create an empty staging folder with the material's name, on the output's file system."""
+        stage = self.folder / "stage" / uuid.uuid4().hex / name
+        stage.mkdir(parents=True)
+        return stage
+
+    def publish(self, stage: Path) -> Path:
+        """Rename a staged folder to its name in the output, replacing an existing one.
+
+        Files that matcap did not write are moved to the new folder. The name is missing between
+        two renames, and never holds part of a material.
+
+        Raises:
+            OSError: the output cannot be written.
+        """
+        final = self.out / stage.name
+        old = self.folder / "old" / uuid.uuid4().hex / stage.name
+        if final.is_dir():
+            old.parent.mkdir(parents=True)
+            for folder in (self.folder, old.parent.parent):
+                sync(folder)
+            os.rename(final, old)
+        try:
+            os.rename(stage, final)
+        except BaseException:
+            if old.exists():
+                os.rename(old, final)
+            raise
+        sync(self.out)
+        if old.exists():
+            _keep_foreign(old, final)
+            shutil.rmtree(old.parent, ignore_errors=True)
+        with suppress(OSError):
+            stage.parent.rmdir()
+        return final
+
+    def write_failure(self, name: str, about: Mapping[str, Any]) -> None:
+        """Record that a sample cannot be used."""
+        folder = self.out / WORKSPACE / "failed"
+        folder.mkdir(parents=True, exist_ok=True)
+        mine = self.folder / f"failed-{uuid.uuid4().hex}"
+        mine.write_text(json.dumps(dict(about)), encoding="utf-8")
+        os.replace(mine, folder / name)
+
+    def forget_failure(self, name: str) -> None:
+        """Remove the record of a failure."""
+        (self.out / WORKSPACE / "failed" / name).unlink(missing_ok=True)
+
+
+def read_failure(out: Path, name: str) -> dict[str, Any] | None:
+    """The record of a sample that could not be used; None without one."""
+    return read_document(out / WORKSPACE / "failed" / name)
+
+
+@contextmanager
+def open_run(out: Path) -> Iterator[Run]:
+    """Create a workspace for the `with` block; first cleans up after a run that was killed.
+
+    Raises:
+        MatcapError: another batch writes into the folder, or it cannot be created or written.
+    """
+    run, lock = Run(out), FileLock(out / WORKSPACE / "lock", timeout=0)
+    try:
+        run.folder.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(NotImplementedError):  # a file system without locks
+            lock.acquire()
+        _clear(run)
+        run.folder.mkdir(exist_ok=True)
+    except Timeout as error:
+        raise MatcapError.at(
+            out, "another matcap batch writes into this folder", "wait for it, or give another -o"
+        ) from error
+    except OSError as error:
+        raise write_error(out, error) from error
+    try:
+        yield run
+    finally:
+        _clear(run)
+        lock.release()
+
+
+def _clear(run: Run) -> None:
+    """Restore folders that a run had moved to replace them, and delete its workspace."""
+    for old in sorted(run.folder.glob("old/*/*")):
+        final = run.out / old.name
+        try:
+            if final.exists():
+                _keep_foreign(old, final)
+            else:
+                os.rename(old, final)
+        except OSError:
+            return  # the next run tries again
+    shutil.rmtree(run.folder, ignore_errors=True)
+
+
+def _keep_foreign(old: Path, new: Path) -> None:
+    """Move files that matcap did not write from the replaced folder to the new one."""
+    record = read_record(old)
+    ours = {FILE, *output_files(old.name)}
+    ours |= {file.split("/")[0] for file in record["files"]} if record else set()
+    for file in old.iterdir():
+        if file.name not in ours and not (new / file.name).exists():
+            os.rename(file, new / file.name)
+
+
+# The state of each sample of a batch (to do, done, failed), read from the output files.
+
+
+EntryState = Literal["todo", "made", "kept", "failed", "left"]
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Which samples are captured again, and what counts as failure."""
+
+    force: bool = False
+    """Make materials again that are done."""
+    retry_failed: bool = False
+    """Try samples again that failed."""
+    fail_fast: bool = False
+    """End at the first failure."""
+    strict: bool = False
+    """Doubtful and failed verdicts count as failures in the exit code."""
+    overwrite: bool = False
+    """Replace captures of a longer preset."""
+
+
+@dataclass
+class BatchEntry:
+    """A sample and its state, which the batch updates."""
+
+    sample: ShotSample
+    """Name and photographs of the sample."""
+    identity: str
+    """Hash of the material to be made (samples.py); "" if a photograph cannot be read."""
+    state: EntryState
+    """"todo"; "made" by this run; "kept", done by an earlier one; "failed"; or "left", not begun
+    because the batch ended early."""
+    reason: str = ""
+    """Why it failed or was left."""
+    record: dict[str, Any] = field(default_factory=dict)
+    """Record of the material (work.py); empty if not captured yet."""
+
+
+def make_plan(
+    samples: Sequence[ShotSample],
+    out: Path,
+    settings: BatchSettings,
+    policy: Policy,
+    *,
+    prior: str,
+    card: str = "",
+) -> list[BatchEntry]:
+    """Determine the state of every sample.
+
+    Args:
+        prior: hash of the prior.
+        card: hash of the calibration, or "".
+    """
+    entries = []
+    for sample in samples:
+        try:
+            wanted = identity(sample.photos, settings, prior=prior, card=card)
+        except MatcapError as error:
+            entries.append(BatchEntry(sample, "", "failed", str(error)))
+            continue
+        entries.append(BatchEntry(sample, wanted, "todo"))
+        _judge(entries[-1], out, settings, policy)
+    return entries
+
+
+def _judge(entry: BatchEntry, out: Path, settings: BatchSettings, policy: Policy) -> None:
+    """Update an entry whose material is done, failed before, or would replace a longer capture."""
+    folder = out / entry.sample.name
+    if not policy.force and is_done(folder, entry.identity):
+        entry.state, entry.record = "kept", read_record(folder) or {}
+        return
+    again = policy.force or policy.retry_failed
+    known = None if again else read_failure(out, entry.sample.name)
+    if known is not None and known.get("identity") == entry.identity:
+        entry.state, entry.reason = "failed", str(known.get("reason", "it failed before"))
+        return
+    try:
+        if not policy.overwrite:
+            refuse_to_replace_longer_capture(folder, settings.capture, len(entry.sample.photos))
+    except MatcapError as error:
+        entry.state, entry.reason, entry.record = "failed", str(error), read_record(folder) or {}
+
+
+# A worker's job: the photographs of one sample to its folder, written completely or not at all.
+
 
 Fault = Literal["photograph", "memory", "disk", "crash"]
 _THUMBNAIL = 192  # pixels along the long side
@@ -97,8 +462,8 @@ def _fault(error: MatcapError) -> Fault:
 def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     from matcap.capture.bracket import find_brackets
     from matcap.capture.inspection import photograph_quality
-    from matcap.capture.outputs import write_outputs
     from matcap.capture.pipeline import capture_photo, read_exposures
+    from matcap.capture.report import write_outputs
     from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()

@@ -29,9 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import UsageError
-from matcap.files.document import read_document
-from matcap.files.rec709 import LUMINANCE
-from matcap.files.srgb import srgb_decode
+from matcap.files.color import LUMINANCE, srgb_decode
+from matcap.files.names import read_document
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet

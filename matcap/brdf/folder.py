@@ -2,9 +2,9 @@
 
 `<name>_diffuse.exr`, `_specular`, `_roughness` and `_normal` in half float, `_height` in 32-bit
 float; `<name>.json` states what the numbers mean; 16-bit PNGs on request; of synthesised ones
-`<name>_preview.png` (synth/preview.py). Reading takes the EXR files and derives normals from the
+`<name>_preview.png` (synth/pictures.py). Reading takes the EXR files and derives normals from the
 height. If the normal file disagrees a note says so, and `--normals file` reads it instead
-(other_normals.py).
+(edited.py).
 
 Keys:
     format: "matcap map set".
@@ -17,7 +17,7 @@ Keys:
     y: row of the left top texel in the endless field, downwards.
     seed: realisation of the material, or null.
     periodic: whether the maps tile seamlessly.
-    seam: step across the border over steps inside (brdf/seam.py), about 1 or less without a seam;
+    seam: step across the border over steps inside (brdf/edited.py), about 1 or less without a seam;
         absent where it was not measured.
     texel_size: a texel's side in plane units.
     height_scale: one unit of the EXR height, in plane units.
@@ -41,19 +41,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.edited import COLOURS, as_saved, in_rec709
-from matcap.brdf.heights import check_heights
-from matcap.brdf.other_normals import note_other_normals, painted_normals
-from matcap.brdf.seam import seam_ratio
+from matcap.brdf.edited import (
+    COLOURS,
+    as_saved,
+    in_rec709,
+    note_other_normals,
+    painted_normals,
+    seam_ratio,
+)
+from matcap.brdf.maps import check_heights
 from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
-from matcap.files.document import read_document
-from matcap.files.exr import read_exr, write_exr
-from matcap.files.maker import MAKER_VERSION
-from matcap.files.names import plain_name
+from matcap.files.color import srgb_picture
+from matcap.files.exr import (
+    read_exr,
+    write_exr,
+)
+from matcap.files.names import MAKER_VERSION, plain_name, read_document
 from matcap.files.output import Output
-from matcap.files.png import write_png
-from matcap.files.srgb import srgb_picture
+from matcap.files.pixels import write_png
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -166,7 +172,10 @@ def read_mapset(
     """
     import torch
 
-    from matcap.brdf.maps import CHANNELS, MapSet
+    from matcap.brdf.maps import (
+        CHANNELS,
+        MapSet,
+    )
 
     file = _find_document(Path(path))
     document = _load_document(file)

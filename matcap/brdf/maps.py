@@ -1,4 +1,6 @@
-"""MapSet: SVBRDF maps (diffuse albedo, F0, roughness, height) of a rectangle of material."""
+"""MapSet: the SVBRDF maps of a rectangle of material; normals, slopes and integration of its
+height.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,111 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.normals import normals_from_height
+from matcap.errors import MatcapError
+
+# Normals of a height field by central differences.
+
+
+def normals_from_height(height: Tensor, texel_size: float, *, periodic: bool = False) -> Tensor:
+    """Unit normals of a height field.
+
+    Args:
+        height: (..., 1, H, W), in plane units. Row 0 is the top of the picture (largest y).
+        texel_size: a texel's side in plane units.
+        periodic: wrap around at borders; else differences there are one-sided.
+
+    Returns:
+        (..., 3, H, W) unit normals, +x right, +y up, +z towards the camera.
+    """
+    if periodic:
+        right, left = torch.roll(height, -1, -1), torch.roll(height, 1, -1)
+        below, above = torch.roll(height, -1, -2), torch.roll(height, 1, -2)
+        dh_dx = (right - left) / (2.0 * texel_size)
+        dh_dy = (above - below) / (2.0 * texel_size)
+    else:
+        dh_dx = _one_sided_at_borders(height, -1) / texel_size
+        # Rows run downwards, y runs upwards.
+        dh_dy = -_one_sided_at_borders(height, -2) / texel_size
+    return normals_from_slopes(dh_dx, dh_dy)
+
+
+def normals_of_rows(
+    height: Tensor, texel_size: float, rows: slice, *, periodic: bool = False
+) -> Tensor:
+    """(..., 3, rows, W) some rows of normals_from_height, without computing the others.
+
+    Args:
+        height, texel_size, periodic: as normals_from_height.
+        rows: slice with start and stop inside the field.
+    """
+    first, last = rows.start - 1, rows.stop + 1
+    if periodic:
+        around = torch.arange(first, last) % height.shape[-2]
+        wide = normals_from_height(height[..., around, :], texel_size, periodic=True)
+        return wide[..., 1:-1, :]
+    first, last = max(first, 0), min(last, height.shape[-2])
+    wide = normals_from_height(height[..., first:last, :], texel_size)
+    return wide[..., rows.start - first : rows.stop - first, :]
+
+
+def normals_from_slopes(dh_dx: Tensor, dh_dy: Tensor) -> Tensor:
+    """(..., 3, H, W) unit normals of a surface with slopes (..., 1, H, W) along x and y."""
+    inverse_length = torch.rsqrt(1.0 + dh_dx.square() + dh_dy.square())
+    return torch.cat([-dh_dx * inverse_length, -dh_dy * inverse_length, inverse_length], dim=-3)
+
+
+def by_slopes(normal: Tensor, vector: Tensor) -> Tensor:
+    """(2, H, W) derivatives of n . u by both slopes: n_z (n_i (n . u) - u_i).
+
+    Args:
+        normal: (3, H, W) unit normals n.
+        vector: (3, H, W) u, which is fixed.
+    """
+    along = (normal * vector).sum(0, keepdim=True)
+    return normal[2:] * (normal[:2] * along - vector[:2])
+
+
+def _one_sided_at_borders(field: Tensor, dim: int) -> Tensor:
+    """Differences per texel along dim: central inside, one-sided at both ends."""
+    size = field.shape[dim]
+    if size == 1:
+        return torch.zeros_like(field)
+    inner = (field.narrow(dim, 2, size - 2) - field.narrow(dim, 0, size - 2)) / 2.0
+    first = field.narrow(dim, 1, 1) - field.narrow(dim, 0, 1)
+    last = field.narrow(dim, size - 1, 1) - field.narrow(dim, size - 2, 1)
+    return torch.cat([first, inner, last], dim=dim)
+
+
+# Validation of height maps.
+
+
+# Plane units. Squares of the slopes of such heights do not overflow single precision.
+TALLEST = 1e6
+
+
+def check_heights(height: NDArray[np.floating], where: str = "") -> None:
+    """Refuse heights above TALLEST, in plane units; NaN and infinity are checked elsewhere.
+
+    Raises:
+        MatcapError: naming `where`.
+    """
+    most = float(np.abs(height).max(initial=0.0))
+    if TALLEST < most < float("inf"):
+        raise MatcapError.at(
+            where,
+            f"its height reaches {most:.2g} plane units, which no surface does",
+            "make the material again",
+        )
+
+
+# MapSet: SVBRDF maps (diffuse albedo, F0, roughness, height) of a rectangle of material.
+
 
 # Order and channel counts of the stored maps; the normal is derived from the height. F0 has three
 # channels where it is coloured, that is, where some of the material is metal.
@@ -44,7 +147,7 @@ class MapSet:
     """The maps tile seamlessly."""
     painted: Tensor | None = None
     """(3, H, W) unit normals that replace the height's, read from an edited normal map
-    (other_normals.py); not in stacked()."""
+    (edited.py); not in stacked()."""
 
     def __post_init__(self) -> None:
         shape = self.height.shape
@@ -123,3 +226,44 @@ def split_stacked(stacked: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     sizes = {**CHANNELS, "specular": specular_channels(stacked.shape[-3])}
     diffuse, specular, roughness, height = stacked.split(list(sizes.values()), dim=-3)
     return diffuse, specular, roughness, height
+
+
+# Mean squared slopes of maps: as normals show them, between texels, and octave by octave.
+
+
+_OCTAVES = 5  # the finest one texel's
+
+
+def slope_energies(maps: MapSet) -> list[Tensor]:
+    """(B,) mean squared slopes of maps (B, C, H, W): as normals show them, then by octave."""
+    height = maps.height / maps.texel_size
+    energies = [shown_energy(maps)]
+    for octave in range(_OCTAVES):
+        energies.append(energy_between(height) / 4.0**octave)
+        height = F.avg_pool2d(height, 2)
+    return energies
+
+
+def relief_difference(maps: MapSet, others: MapSet, flat: float) -> Tensor:
+    """(B,) mean over octaves of the absolute difference of log mean squared slope.
+
+    Args:
+        maps: (B, C, H, W).
+        others: the maps that they are compared with.
+        flat: root-mean-square slope that is added to both.
+    """
+    both = zip(slope_energies(maps), slope_energies(others), strict=True)
+    ratios = [(ours + flat**2) / (theirs + flat**2) for ours, theirs in both]
+    return torch.stack([ratio.log().abs() for ratio in ratios]).mean(0)
+
+
+def shown_energy(maps: MapSet) -> Tensor:
+    """(B,) mean squared slope of the normals."""
+    normal = maps.normal
+    return (normal[..., :2, :, :] / normal[..., 2:, :, :]).square().sum(-3).mean((-2, -1))
+
+
+def energy_between(height: Tensor) -> Tensor:
+    """(B,) mean squared difference between neighbouring texels of heights (B, 1, H, W)."""
+    across, down = height.diff(dim=-1), height.diff(dim=-2)
+    return across.square().mean((-3, -2, -1)) + down.square().mean((-3, -2, -1))

@@ -29,14 +29,20 @@ from numpy.typing import NDArray
 
 from matcap.capture.registration.keypoints import normalise_contrast
 from matcap.errors import MatcapError
-from matcap.files.quiet import quiet_decoders
-from matcap.files.srgb import srgb_slope
+from matcap.files.color import srgb_slope
+from matcap.files.process import quiet_decoders
 from matcap.photo.exif import read_exif
+from matcap.photo.left_out import (
+    CLIPPED_SHARE,
+    area_averaged,
+)
 from matcap.photo.load import load_photo
-from matcap.photo.photo import FULL, Photo
+from matcap.photo.photo import (
+    FULL,
+    Photo,
+    ToneCurve,
+)
 from matcap.photo.response import Ratio, Tones, fit_ratio
-from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
-from matcap.photo.tone import ToneCurve
 
 Picture = NDArray[np.float32]
 Matrix = NDArray[np.float64]

@@ -1,10 +1,11 @@
-"""Inspection of a photograph before capture: its quality, highlight, relief and tilt."""
+"""Inspection before capture: quality, highlight and tilt of one photograph, coverage of several."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,24 @@ import torch
 
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
-from matcap.capture.tilt import fit_photograph, tilt_document
-from matcap.capture.verdict.highlight import highlight_profile
+from matcap.capture.multiview.mosaic import mosaic_of, sees
+from matcap.capture.rectified import fit_photograph, tilt_document
+from matcap.capture.registration.camera import grid_points
+from matcap.capture.registration.keypoints import LONG_SIDE
+from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
+from matcap.capture.verdict.causes import highlight_profile
+from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point
-from matcap.flash.light import FlashLight
-from matcap.flash.plane import Plane, read_plane
-from matcap.flash.rectify import picture_of
-from matcap.flash.render import uniform_radiance
-from matcap.photo.checks import CHECKS, Finding
+from matcap.flash.light import FlashLight, uniform_radiance
+from matcap.flash.rectify import Plane, picture_of, read_plane
+from matcap.photo.checks import CHECKS, Finding, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
 from matcap.photo.load import load_photo
 from matcap.photo.photo import FULL, Photo
+
+# Inspection of a photograph before capture: its quality, highlight, relief and tilt.
+
 
 _FEWEST, _MOST = 2, 6  # stops by which another exposure is darker
 
@@ -38,7 +45,7 @@ class InspectedPhotograph:
     relief_spectrum: ReliefSpectrum | None
     """Band energies of relief and albedo; None if they cannot be measured."""
     tilt: Mapping[str, Any] | None = None
-    """Estimates of the tilt by source, degrees (capture/tilt.py)."""
+    """Estimates of the tilt by source, degrees (capture/rectified.py)."""
 
 
 def inspect_file(
@@ -120,3 +127,159 @@ def _darker(coarse: CoarseFit, limit: float) -> str:
         f"Take one more photograph {stops} stops darker from the same place, and capture both: "
         "it measures what is clipped."
     )
+
+
+# Coverage checks of several photographs before capture: views, light directions, overlap.
+#
+# Photographs are registered as in a capture, but no maps are estimated. Directions are those of the
+# first photograph as displayed.
+
+
+_GRID = 64  # points across the grid on which coverage is determined
+
+
+def coverage_of_files(paths: Sequence[Path], fov: float | None = None) -> Inspection:
+    """Register the photographs of a set and check its coverage.
+
+    Args:
+        paths: two or more; the first defines the frame.
+        fov: field of view along the long side, degrees; None for that of the metadata.
+
+    Raises:
+        MatcapError: one cannot be read, nothing can be fitted to the first, or it has no flash.
+    """
+    if len(paths) < 2:
+        raise MatcapError.at(
+            paths[0],
+            "one photograph cannot be compared with others",
+            "give two or more of one sample",
+        )
+    photos = [load_photo(path, long_side=LONG_SIDE, fov=fov, noise=False) for path in paths]
+    return coverage(register_in_any_order(photos))
+
+
+def coverage(registration: Registration) -> Inspection:
+    """Coverage findings of registered photographs."""
+    views = registration.views
+    lit = [view for view in views if view.flash]
+    findings = [_belonging(registration)]
+    if len(lit) > 1:
+        findings.append(_sides(lit))
+    findings.append(_places(lit))
+    if len(views) > 1:
+        findings.append(_cameras(views))
+    findings.append(_common(views))
+    if len(views) > 1:
+        findings.append(_union(views))
+    return Inspection(views[0].photo.name, tuple(findings))
+
+
+def _belonging(registration: Registration) -> Finding:
+    """Finding on which photographs could be registered."""
+    views, out = registration.views, registration.left_out
+    first, last, alone = views[0].photo.name, views[-1], len(views) < 2
+    says = [f"{len(views)} photographs show the same sample."]
+    if alone:
+        says = [f"No other photograph shows the same sample as {first}."]
+    if not last.flash:
+        known = all(view.photo.exposure is not None for view in views)
+        also = " and is subtracted from the others" if known else ""
+        helps = f"its ambient light separates albedo from relief{also}"
+        says.append(f"{last.photo.name} was taken without flash: {helps}.")
+    says += [f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out]
+    value = {"used": len(views), "left_out": [one.name for one in out]}
+    if not out and not alone:
+        return Finding("belong", value, Rating.GOOD, " ".join(says))
+    remedy = "Leave it out" if len(out) == 1 else "Leave them out"
+    remedy += (
+        ", or photograph again: the same sample, sharp, with flash, with an overlap of two thirds."
+    )
+    rating = Rating.FAILED if alone else Rating.DOUBTFUL
+    return Finding("belong", value, rating, " ".join(says), remedy)
+
+
+def _sides(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the sides from which flashes light the sample."""
+    leaning = np.stack([view.camera.place[:2] / view.camera.place[2] for view in views])
+    if views[0].photo.turned:
+        # Turned upright, clockwise, the landscape's right side is the bottom, its top the right.
+        leaning = np.stack([leaning[:, 1], -leaning[:, 0]], 1)
+    (left, bottom), (right, top) = -leaning.min(0), leaning.max(0)
+    offsets = {"left": left, "right": right, "top": top, "bottom": bottom}
+    value = {side: round(float(offset), 3) for side, offset in offsets.items()}
+    check = CHECKS["lit_from"]
+    dark = [side for side, offset in offsets.items() if offset < check.limits[0]]
+    if not dark:
+        return check.rated(value, Rating.GOOD)
+    return check.rated(
+        value,
+        Rating.NOT_JUDGED if len(dark) < len(offsets) else Rating.DOUBTFUL,
+        sides=_listed(dark, "or"),
+        moves=_listed(dark, "and"),
+        each="" if len(dark) == 1 else ", once for each",
+    )
+
+
+def _places(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on cameras that coincide or are tilted too far."""
+    place, steep = CHECKS["baseline"], CHECKS["steep"]
+    near, nearest = [], math.inf
+    for one, other in combinations(views, 2):
+        baseline = np.linalg.norm(one.camera.place - other.camera.place)
+        share = float(baseline / np.linalg.norm(one.camera.place))
+        nearest = min(nearest, share)
+        if share < place.limits[0]:
+            near.append(place.says.format(one=one.photo.name, other=other.photo.name))
+    tilted = [
+        steep.says.format(name=view.photo.name, value=math.degrees(view.camera.tilt))
+        for view in views
+        if math.degrees(view.camera.tilt) > steep.limits[0]
+    ]
+    value = None if math.isinf(nearest) else round(nearest, 3)
+    if not near and not tilted:
+        return place.rated(value, Rating.GOOD)
+    remedies = [*([place.remedy] if near else []), *([steep.remedy] if tilted else [])]
+    return Finding("baseline", value, Rating.DOUBTFUL, " ".join(near + tilted), " ".join(remedies))
+
+
+def _cameras(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the standard deviations of the cameras."""
+    check, worst = CHECKS["cameras"], max(views, key=lambda view: view.position_deviation)
+    deviation = worst.position_deviation
+    return check.rated(
+        {view.photo.name: round(view.position_deviation, 5) for view in views[1:]},
+        Rating.GOOD if deviation <= check.limits[0] else Rating.NOT_JUDGED,
+        percent=100.0 * deviation,
+        name=worst.photo.name,
+    )
+
+
+def _common(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the share of the sample that two photographs or more show."""
+    up = [view.photo.pixels.shape[0] / view.photo.pixels.shape[1] for view in views]
+    points = grid_points(_GRID, round(_GRID * up[0]))
+    each = (sees(view.camera, points, high, 90.0) for view, high in zip(views, up, strict=True))
+    seen = np.stack(list(each)).sum(0)
+    alone = float((seen < 2).mean())
+    check = CHECKS["overlap"]
+    rating = Rating.GOOD if alone <= check.limits[0] else Rating.DOUBTFUL
+    return check.rated(round(alone, 3), rating, shared=1.0 - alone)
+
+
+def _union(views: Sequence[RegisteredView]) -> Finding:
+    """Finding on the extent of the mosaic."""
+    rows, columns = views[0].photo.pixels.shape[:2]
+    mosaic = mosaic_of(views, (LONG_SIDE, round(LONG_SIDE * rows / columns)))
+    value = round(mosaic.times, 2)
+    if not mosaic.margins.any:
+        says = "They show hardly more than the first one: --union makes the maps no larger."
+    else:
+        says = f"They show {value:g} times the first one's area: --union makes maps of all of it."
+    return Finding("union", value, Rating.GOOD, says)
+
+
+def _listed(words: Sequence[str], joint: str) -> str:
+    """Enumerate words: commas, and `joint` before the last."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {joint} {words[-1]}"

@@ -14,34 +14,30 @@ from pathlib import Path
 from matcap.capture.bracket import find_brackets, merge_bracket
 from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
-from matcap.capture.method import Method
-from matcap.capture.outputs import write_outputs
-from matcap.capture.progress import (
+from matcap.capture.rectified import Rectified, fit_photograph
+from matcap.capture.registration.keypoints import LONG_SIDE
+from matcap.capture.report import write_outputs
+from matcap.capture.result import CaptureResult, judge_material, provenance
+from matcap.capture.settings import (
     DECODER_STAGES,
+    DETAIL,
     DRAWING_STAGES,
     EXEMPLAR_STAGES,
     MULTIVIEW_STAGES,
     CaptureClock,
     CaptureProgress,
-)
-from matcap.capture.rectified import Rectified
-from matcap.capture.registration.keypoints import LONG_SIDE
-from matcap.capture.result import CaptureResult, judge_material, provenance
-from matcap.capture.settings import (
-    DETAIL,
     CaptureSettings,
+    Method,
     OutputSettings,
     check_photographs,
     resolve,
 )
-from matcap.capture.tilt import fit_photograph
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
-from matcap.files.interrupts import postponed
+from matcap.files.process import postponed
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
-from matcap.photo.photo import Photo
-from matcap.photo.refusals import SHORTEST_SIDE
+from matcap.photo.photo import SHORTEST_SIDE, Photo
 
 OnCapture = Callable[[CaptureProgress], None]
 

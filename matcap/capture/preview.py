@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from matcap.capture.tilt import tilt_line
+from matcap.capture.rectified import tilt_line
+from matcap.files.color import srgb_picture
 from matcap.files.output import Output
-from matcap.files.srgb import srgb_picture
 from matcap.photo.checks import Rating
-from matcap.photo.orient import standing
+from matcap.photo.exif import standing
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -124,7 +124,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         ]
         several = result.several
         if several is not None:
-            from matcap.capture.multiview.diagram import draw_set
+            from matcap.capture.multiview.set_report import draw_set
 
             maps = map_set_of(result.estimate.exemplar)
             if several.mosaic.margins.any:
@@ -247,7 +247,7 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     import torch
 
     from matcap.flash.geometry import plane_points
-    from matcap.flash.render import shade
+    from matcap.flash.light import shade
 
     width, height = maps.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
@@ -275,7 +275,7 @@ def _under_flash(
     import torch
 
     from matcap.flash.geometry import plane_points
-    from matcap.flash.render import render_flash
+    from matcap.flash.light import render_flash
 
     turned, setup = setup.turned, replace(setup, turned=False)
     landscape = maps.turned(1) if turned else maps

@@ -1,15 +1,13 @@
-"""A photograph rectified to the plane of its sample, at the resolutions of exemplar and network.
-
-In come a photograph and its coarse fit, out goes a Rectified: both, the plane, and its lattice. The
-exemplar has the resolution asked for. The network's receptive field is about a hundred texels
-and the compared windows have 160; structure of longer wavelength is lost (wood becomes sawdust).
-Such textures are read on half as many texels across, and finer bands are transferred from the
-photograph (exemplar/detail_transfer.py). Figures in docs/notes/capture.md.
+"""A photograph rectified to its sample's plane, after the coarse fit with the alignment branch's
+tilt.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,17 +16,80 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.network.inputs import MOST_RESIDUAL, SUBSAMPLING
+from matcap.capture.exemplar.network.network import MOST_RESIDUAL, SUBSAMPLING
 from matcap.capture.settings import DETAIL
-from matcap.flash.coarse.fit import CoarseFit
+from matcap.field.source import one_thread
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
+from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import plane_points
-from matcap.flash.light import FlashLight
-from matcap.flash.plane import Plane, read_plane
-from matcap.flash.render import Uniform, uniform_radiance
-from matcap.photo.left_out import mirrored
+from matcap.flash.light import FlashLight, Uniform, uniform_radiance
+from matcap.flash.rectify import Plane, read_plane
+from matcap.photo.left_out import area_averaged, mirrored
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
+from matcap.space.alignment import tilt_measurement
 from matcap.statistics.lattice import Wave, find_lattice
+
+# The coarse fit with the alignment branch's tilt as a prior.
+
+
+@one_thread()
+def fit_photograph(photo: Photo, *, measured: bool = True) -> CoarseFit:
+    """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.
+
+    Albedo is absolute where the flash intensity is known.
+
+    Args:
+        photo: the photograph.
+        measured: whether to use the alignment branch.
+    """
+    prior = None
+    if measured:
+        seen = tilt_measurement(photo)
+        prior = TiltPrior((seen.x, seen.y), (seen.std_x, seen.std_y))
+    return rescale_to_flash(fit_coarse(photo, tilt_prior=prior), photo.flash_intensity)
+
+
+def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
+    """Tilt about x and y by source, degrees; None without a measurement.
+
+    Keys: `used`; `branch`, the alignment branch's, with its standard deviation `branch_std`; and
+    `picture`, the coarse fit's without the branch.
+    """
+    if coarse.tilt_prior is None or coarse.picture_tilt is None:
+        return None
+    return {
+        "used": _degrees(coarse.setup.tilt),
+        "branch": _degrees(coarse.tilt_prior.mean),
+        "branch_std": _degrees(coarse.tilt_prior.std),
+        "picture": _degrees(coarse.picture_tilt),
+    }
+
+
+def tilt_line(document: Mapping[str, Any]) -> str:
+    """One sentence from a tilt_document."""
+    x, y = document["used"]
+    bx, by = document["branch"]
+    sx, sy = document["branch_std"]
+    px, py = document["picture"]
+    return (
+        f"Tilt about x and y: {x:.1f} and {y:.1f} degrees; the alignment branch says {bx:.1f} "
+        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f}), the picture alone {px:.1f} "
+        f"and {py:.1f}."
+    )
+
+
+def _degrees(angles: Sequence[float]) -> list[float]:
+    return [round(math.degrees(angle), 2) for angle in angles]
+
+
+# A photograph rectified to the plane of its sample, at the resolutions of exemplar and network.
+#
+# In come a photograph and its coarse fit, out goes a Rectified: both, the plane, and its lattice.
+# The exemplar has the resolution asked for. The network's receptive field is about a hundred texels
+# and the compared windows have 160; structure of longer wavelength is lost (wood becomes sawdust).
+# Such textures are read on half as many texels across, and finer bands are transferred from the
+# photograph (exemplar/detail_transfer.py). Figures in docs/notes/capture.md.
+
 
 UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 

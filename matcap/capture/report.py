@@ -1,65 +1,5 @@
-"""report.json: input, settings, errors, verdict and versions of a capture.
-
-Keys:
-    format: "matcap report".
-    version: of this file, 2.
-    name: of the material.
-    interrupted: whether Ctrl-C ended the capture early.
-    verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
-        1 is good, 2 usable, 3 doubtful), `sentence` (the largest difference, its cause and remedy),
-        `causes` detected in the photograph, each with its remedy, and all `checks`
-        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `message`,
-        cause and remedy.
-    highlight: of the photograph and its re-rendering, in pairs, both clipped where the photograph
-        is; null if the mirror point is outside of the picture. `rings` around that point, with
-        outer `radii` (plane units) and one beyond: mean radiance over that of a uniform matte
-        surface, normalised to 1 in the last; the first is the highlight contrast. `contrast_ratio`,
-        re-rendered over photographed contrast (null if neither is glossy; of a clipped core also
-        that of the innermost unclipped ring, whichever is farther from 1); `clipped`, share of each
-        ring: above 5 % in the first the photographed contrast is a lower bound. `glints`, standard
-        deviation of log radiance by octave, finest first, and `glint_ratio`.
-    error: `exemplar`, median difference of log radiance between the photograph and the re-rendered
-        exemplar; `field`, texture distance between the photograph and the endless material over
-        that between parts of the photograph; null if not measured.
-    warnings: sentences on what may reduce the quality.
-    notes: sentences on the file and the settings.
-    photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
-    camera: `fov_degrees` and `fov_source`, distance, `tilt_degrees`, `tilt_sources` (degrees about
-        x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
-        `picture`, of the coarse fit without the branch; null of several photographs, where
-        registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
-        r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/tone.py) or
-        null.
-    texel_size: plane units.
-    settings: of the user.
-    effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
-        (0 without); of a decoder also `windows_per_step`, and whether it was `matched`.
-    seconds: of the whole capture.
-    stage_seconds: of each stage.
-    tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
-        between neighbouring windows of the photograph), `relative_error` (their ratio) and
-        `error_over_time` (seconds, step and error).
-    exemplar: or null: `error` (median difference of log radiance between photograph and
-        re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
-        that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
-        1), `patches` (their size, in words), `relief_spectrum` (root-mean-square slope and log
-        albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null), `sharpness`
-        (power of the finest octave, re-rendering over photograph), `confidence` (mean, by map),
-        `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation about the
-        mirror point: of the logarithms of `albedo`, `specular` and `grain`, the amplitude of
-        relief, and of `roughness`).
-    multi_view: of several photographs of one sample, or null: `photographs` (name, `flash`, false
-        if lit by ambient light, `matches` with the first, their `correlation`, `position` of the
-        camera in plane units, tilt, `position_deviation` over the distance, `residual` of the
-        re-rendering, and `leave_one_out_residual`, with maps from all other photographs, or null),
-        `left_out` (name and reason), `measured_share` (by map: share measured by photographs rather
-        than predicted by the network), flash offset and lens distortion;
-        with --union `mosaic`: `margins` (texels around the first photograph's rectangle),
-        `area_ratio` (its texels over that rectangle's), `covered_share` (share of what photographs
-        show that is in it), `seen_share` (share of it that any photograph shows) and `limited`
-        (reduced to fit memory).
-    provenance: how the material was made.
-    versions: of matcap, Python, the system and the libraries.
+"""report.json and the other files of a capture: all of them or none, and what may be
+overwritten.
 """
 
 from __future__ import annotations
@@ -67,21 +7,250 @@ from __future__ import annotations
 import json
 import math
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from matcap.capture.report_file import FORMAT, VERSION
-from matcap.example.summary import summary
-from matcap.files.maker import MAKER_VERSION
+from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, preview_name, write_mapset
+from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
+from matcap.errors import MatcapError
+from matcap.example.example import summary
+from matcap.example.exemplar import CHANNELS
+from matcap.files.exr import write_exr_channels
+from matcap.files.names import MAKER_VERSION, read_document
 from matcap.files.output import Output
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
+    from matcap.capture.exemplar.estimate import ExemplarEstimate
     from matcap.capture.multiview.set_report import SetReport
     from matcap.capture.result import CaptureResult, Tuning
+    from matcap.flash.geometry import FlashSetup
+
+
+# Writing the outputs of a capture into its folder, all or none.
+
+
+PREVIEW, REPORT = "preview.png", "report.json"
+
+
+def files_written(names: Sequence[str]) -> set[str]:
+    """Which of a folder's files, by their `names`, are of a capture or a map set in it."""
+    sets = [Path(name).stem for name in names if name.endswith(".json")]
+    written = {file for name in sets for file in (*mapset_files(name), preview_name(name))}
+    return written | ({PREVIEW} if REPORT in names else set())
+
+
+def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings) -> Path:
+    """Write material, first map set, preview.png and report.json into a folder, all or none.
+
+    Exports to other programs come after them, each all or none.
+
+    Args:
+        result: of capture_photo.
+        folder: created if missing; its name is that of the material and the maps.
+        settings: what to write.
+
+    Returns:
+        Path of the .matcap file.
+
+    Raises:
+        MatcapError: the disk is full, or the folder cannot be written.
+    """
+    from matcap.capture.preview import write_preview
+
+    name = folder.name
+    older = [
+        *mapset_files(name),
+        preview_name(name),
+        *mapset_files(name + PIECE),
+        _confidence_file(name),
+        "error.png",  # of earlier versions
+    ]
+    # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
+    # The pool exits first, then the stage publishes all files.
+    with Output(folder, older).stage() as stage, ThreadPoolExecutor(1) as pool:
+        written = pool.submit(_write_material, result, stage, name, settings)
+        write_preview(result, stage / PREVIEW)
+        write_report(result, stage / REPORT)
+        written.result()
+    if settings.targets:
+        from matcap.export.targets import export_mapset
+    for target in settings.targets:
+        export_mapset(folder / f"{name}.json", target)
+    return folder / f"{name}.matcap"
+
+
+def _write_material(
+    result: CaptureResult, stage: Path, name: str, settings: OutputSettings
+) -> None:
+    """Write the material, its first map set and, with `aligned`, the exemplar's maps."""
+    material = result.material
+    period = settings.size if settings.repeats(material.alignment) else None
+    maps = material.maps(*settings.size, seed=settings.seed, period=period)
+    info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
+    write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
+    material.save(stage / f"{name}.matcap")
+    if result.estimate is not None and result.settings.aligned:
+        _write_piece(result.estimate, material.setup, stage, name, settings)
+
+
+def no_repeat(size: tuple[int, int], alignment: int) -> str:
+    """Message that maps of this size (width, height) show a seam when tiled."""
+    width, height = size
+    return (
+        f"Maps of {width}x{height} do not repeat: tiled, they show a seam. For seamless maps, "
+        f"choose sides that are multiples of {alignment}."
+    )
+
+
+def output_files(name: str) -> list[str]:
+    """Names of the files that write_outputs writes into a folder of this name, without exports;
+    error.png is of earlier versions.
+    """
+    return [f"{name}.matcap", PREVIEW, REPORT, *mapset_files(name), "error.png"]
+
+
+def _write_piece(
+    estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
+) -> None:
+    """Write the exemplar's maps and their confidence, in [0, 1] per map and texel."""
+    from matcap.capture.exemplar.estimate import map_set_of
+
+    exemplar = estimate.exemplar
+    about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
+    # Else the setup's origin, the photograph's centre, is not the exemplar's.
+    if estimate.first_rectangle is exemplar:
+        about[SETUP] = asdict(setup)
+    info = MapSetInfo(name + PIECE, None, provenance=about)
+    write_mapset(map_set_of(exemplar), stage, info, png=settings.png, normal=settings.normal)
+    confidence = dict(zip(CHANNELS, exemplar.confidence, strict=True))
+    write_exr_channels(stage / _confidence_file(name), confidence)
+
+
+def _confidence_file(name: str) -> str:
+    return f"{name}{PIECE}_confidence.exr"
+
+
+# Reading report.json; report.schema.json is its JSON Schema.
+#
+# Format 1 had other names for some entries; what it says is read as format 2.
+
+
+FORMAT, VERSION = "matcap report", 2
+# Entries that format 1 had under another name: where, old and new. "*" is every member.
+_RENAMED = (
+    ("", "several", "multi_view"),
+    ("error", "piece", "exemplar"),
+    ("effort", "places", "windows_per_step"),
+    ("verdict.causes.*", "says", "message"),
+    ("verdict.checks.*", "says", "message"),
+    ("verdict.checks", "piece", "exemplar"),
+    ("exemplar", "slow", "low_frequency_residual"),
+    ("exemplar", "strengths", "relief_spectrum"),
+    ("exemplar.relief_spectrum.bands.*", "waves", "wavelengths"),
+    ("multi_view.photographs.*", "likeness", "correlation"),
+    ("multi_view.photographs.*", "place", "position"),
+    ("multi_view.photographs.*", "doubt", "position_deviation"),
+    ("multi_view.photographs.*", "predicted", "leave_one_out_residual"),
+    ("multi_view.left_out.*", "why", "reason"),
+    ("multi_view", "union", "mosaic"),
+    ("multi_view.mosaic", "times", "area_ratio"),
+)
+
+
+def read_report(file: Path) -> dict[str, Any] | None:
+    """A capture's report as format 2; None if the file is missing, damaged or of a later format."""
+    report = read_document(file, FORMAT)
+    version = 1 if report is None else report.get("version", 1)
+    if report is None or version not in (1, VERSION):
+        return None
+    for where, old, new in _RENAMED if version == 1 else ():
+        for entry in _members(report, where.split(".") if where else []):
+            if old in entry:
+                entry[new] = entry.pop(old)
+    return report | {"version": VERSION}
+
+
+def _members(document: object, path: list[str]) -> Iterator[dict[str, Any]]:
+    """The objects at a path, as far as it is there."""
+    if not path:
+        if isinstance(document, dict):
+            yield document
+    elif path[0] == "*":
+        inside = document.values() if isinstance(document, dict) else document
+        for one in inside if not isinstance(inside, str) and hasattr(inside, "__iter__") else ():
+            yield from _members(one, path[1:])
+    elif isinstance(document, dict):
+        yield from _members(document.get(path[0]), path[1:])
+
+
+# report.json: input, settings, errors, verdict and versions of a capture.
+#
+# Keys:
+# format: "matcap report".
+# version: of this file, 2.
+# name: of the material.
+# interrupted: whether Ctrl-C ended the capture early.
+# verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
+# 1 is good, 2 usable, 3 doubtful), `sentence` (the largest difference, its cause and remedy),
+# `causes` detected in the photograph, each with its remedy, and all `checks`
+# (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `message`,
+# cause and remedy.
+# highlight: of the photograph and its re-rendering, in pairs, both clipped where the photograph
+# is; null if the mirror point is outside of the picture. `rings` around that point, with
+# outer `radii` (plane units) and one beyond: mean radiance over that of a uniform matte
+# surface, normalised to 1 in the last; the first is the highlight contrast. `contrast_ratio`,
+# re-rendered over photographed contrast (null if neither is glossy; of a clipped core also
+# that of the innermost unclipped ring, whichever is farther from 1); `clipped`, share of each
+# ring: above 5 % in the first the photographed contrast is a lower bound. `glints`, standard
+# deviation of log radiance by octave, finest first, and `glint_ratio`.
+# error: `exemplar`, median difference of log radiance between the photograph and the re-rendered
+# exemplar; `field`, texture distance between the photograph and the endless material over
+# that between parts of the photograph; null if not measured.
+# warnings: sentences on what may reduce the quality.
+# notes: sentences on the file and the settings.
+# photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
+# camera: `fov_degrees` and `fov_source`, distance, `tilt_degrees`, `tilt_sources` (degrees about
+# x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
+# `picture`, of the coarse fit without the branch; null of several photographs, where
+# registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
+# r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/photo.py) or
+# null.
+# texel_size: plane units.
+# settings: of the user.
+# effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
+# (0 without); of a decoder also `windows_per_step`, and whether it was `matched`.
+# seconds: of the whole capture.
+# stage_seconds: of each stage.
+# tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
+# between neighbouring windows of the photograph), `relative_error` (their ratio) and
+# `error_over_time` (seconds, step and error).
+# exemplar: or null: `error` (median difference of log radiance between photograph and
+# re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
+# that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
+# 1), `patches` (their size, in words), `relief_spectrum` (root-mean-square slope and log
+# albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null), `sharpness`
+# (power of the finest octave, re-rendering over photograph), `confidence` (mean, by map),
+# `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation about the
+# mirror point: of the logarithms of `albedo`, `specular` and `grain`, the amplitude of
+# relief, and of `roughness`).
+# multi_view: of several photographs of one sample, or null: `photographs` (name, `flash`, false
+# if lit by ambient light, `matches` with the first, their `correlation`, `position` of the
+# camera in plane units, tilt, `position_deviation` over the distance, `residual` of the
+# re-rendering, and `leave_one_out_residual`, with maps from all other photographs, or null),
+# `left_out` (name and reason), `measured_share` (by map: share measured by photographs rather
+# than predicted by the network), flash offset and lens distortion;
+# with --union `mosaic`: `margins` (texels around the first photograph's rectangle),
+# `area_ratio` (its texels over that rectangle's), `covered_share` (share of what photographs
+# show that is in it), `seen_share` (share of it that any photograph shows) and `limited`
+# (reduced to fit memory).
+# provenance: how the material was made.
+# versions: of matcap, Python, the system and the libraries.
+
 
 _LIBRARIES = ("torch", "numpy", "opencv-contrib-python-headless", "rawpy", "OpenEXR")
 
@@ -260,3 +429,39 @@ def _finite(value: object) -> object:
     if isinstance(value, (list, tuple)):
         return [_finite(item) for item in value]
     return value
+
+
+# Overwrite rule of batches: a capture is not replaced by one of less effort.
+
+
+def refuse_to_replace_longer_capture(
+    folder: Path, settings: CaptureSettings, photographs: int
+) -> None:
+    """Raise if a folder has a capture of more photographs, texels or steps.
+
+    Args:
+        folder: output folder of the new capture.
+        settings: of the new capture.
+        photographs: number of its photographs.
+
+    Raises:
+        MatcapError: states the old effort and names --overwrite.
+    """
+    old = read_report(folder / REPORT)
+    if old is None or old.get("interrupted"):
+        return
+    before = len((old.get("multi_view") or {}).get("photographs", ())) or 1
+    spent, effort = old.get("effort", {}), resolve(settings)
+    # `effort` may hold the preset's detail, so that `settings` comes first.
+    detail = old.get("settings", {}).get("detail") or spent.get("detail", 0)
+    if before > photographs:
+        earlier = f"one of {before} photographs"
+    elif detail > effort.detail or spent.get("steps", 0) > effort.steps:
+        earlier = f"a longer one, of preset {spent.get('preset')}"
+    else:
+        return
+    raise MatcapError.at(
+        folder,
+        f"the folder has an earlier capture ({earlier})",
+        "choose another folder with -o, or give --overwrite",
+    )

@@ -14,18 +14,27 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.multiview.set_report import SetReport
-from matcap.capture.progress import CaptureClock
-from matcap.capture.rectified import Rectified
-from matcap.capture.settings import CaptureSettings, Effort, resolve
-from matcap.capture.tilt import tilt_document
-from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
+from matcap.capture.rectified import Rectified, tilt_document
+from matcap.capture.settings import (
+    CaptureClock,
+    CaptureSettings,
+    Effort,
+    resolve,
+)
+from matcap.capture.verdict.causes import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
-from matcap.capture.verdict.measurements import Measurements, measure_capture
+from matcap.capture.verdict.measurements import (
+    Measurements,
+    measure_capture,
+)
 from matcap.field.material import Material
-from matcap.files.interrupts import postponed
+from matcap.files.process import postponed
+from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
-from matcap.flash.render import render_rectified
-from matcap.photo.orient import quarter_turn, standing
+from matcap.photo.exif import (
+    quarter_turn,
+    standing,
+)
 from matcap.photo.photo import Photo
 
 
@@ -95,7 +104,7 @@ class CaptureResult:
 
     @property
     def tilt_sources(self) -> Mapping[str, Any] | None:
-        """Tilt used and its estimates by source, degrees (capture/tilt.py); None if unmeasured."""
+        """Tilt used and its estimates by source, degrees (rectified.py); None if unmeasured."""
         coarse: Mapping[str, Any] = self.material.provenance.get("coarse", {})
         return coarse.get("tilt_degrees")
 

@@ -10,15 +10,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.batch.settings import BatchSettings
-from matcap.capture.settings import CaptureSettings, OutputSettings
-from matcap.cli.fields import NOTHING, Fields, Given, with_settings
-from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, StrictOption
+from matcap.batch.samples import BatchSettings
+from matcap.capture.settings import (
+    CaptureSettings,
+    OutputSettings,
+)
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    StrictOption,
+    with_settings,
+)
 from matcap.errors import ExitCode
 
 if TYPE_CHECKING:
-    from matcap.batch.entries import BatchEntry
-    from matcap.batch.predict import Prediction
+    from matcap.batch.run import Prediction
+    from matcap.batch.work import BatchEntry
 
 
 @with_settings
@@ -54,9 +65,12 @@ def batch(
     Settings come from matcap.toml in or next to the folder; options override it. The results are
     listed in index.html in the output folder.
     """
-    from matcap.batch.entries import Policy
-    from matcap.batch.settings import settings_of
-    from matcap.batch.whole import prepare, work_off
+    from matcap.batch.run import (
+        prepare,
+        work_off,
+    )
+    from matcap.batch.samples import settings_of
+    from matcap.batch.work import Policy
     from matcap.cli.display import BatchDisplay
 
     settings = settings_of(source, given)
@@ -66,7 +80,7 @@ def batch(
             source, out = source.resolve(), out.resolve()
         prepared = prepare(source, out, settings, policy, shown)
         if dry_run:
-            from matcap.batch.predict import predict
+            from matcap.batch.run import predict
 
             prediction = predict(prepared)
         else:

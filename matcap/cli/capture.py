@@ -11,9 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import CaptureSettings, OutputSettings, check_photographs
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, StrictOption
+from matcap.capture.settings import (
+    CaptureSettings,
+    OutputSettings,
+    check_photographs,
+)
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    StrictOption,
+    chosen,
+    with_settings,
+)
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files.names import usable_name
 
@@ -68,8 +81,8 @@ def capture(
     """
     from matcap.capture.bracket import find_brackets
     from matcap.cli.display import CaptureDisplay
-    from matcap.files.memory import keep_memory
     from matcap.files.output import check_writable
+    from matcap.files.process import keep_memory
 
     keep_memory()  # this process is matcap's own
     settings = chosen(CaptureSettings, given)
@@ -123,7 +136,7 @@ def _attempt(
     overwrite: bool,
 ) -> dict[str, Any]:
     """Capture one photograph; a failure is a result too."""
-    from matcap.capture.outputs import output_files
+    from matcap.capture.report import output_files
     from matcap.files.output import check_output
 
     started = time.perf_counter()
@@ -153,8 +166,8 @@ def _capture(
     spent: float,
 ) -> dict[str, Any]:
     began = time.perf_counter()
-    from matcap.capture.outputs import no_repeat
     from matcap.capture.pipeline import capture_into
+    from matcap.capture.report import no_repeat
 
     spent += time.perf_counter() - began
     shown.started(job.photo)

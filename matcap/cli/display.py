@@ -18,13 +18,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from matcap.files.values import spoken_duration
+from matcap.files.settings import spoken_duration
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
-    from matcap.batch.entries import BatchEntry
-    from matcap.capture.progress import CaptureProgress
-    from matcap.files.progress import Progress as WorkProgress
+    from matcap.batch.work import BatchEntry
+    from matcap.capture.settings import CaptureProgress
+    from matcap.files.names import Progress as WorkProgress
     from matcap.synth.request import SynthProgress
 
 _NAMED = (TextColumn("{task.description}", markup=False), BarColumn())

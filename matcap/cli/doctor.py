@@ -48,8 +48,8 @@ def diagnose(*, self_test: bool = True) -> dict[str, Any]:
     whether all that is needed is installed and the self-test passed.
     """
     from matcap.example import library as example_loops
-    from matcap.files.maker import MAKER_VERSION
-    from matcap.files.memory import cores
+    from matcap.files.names import MAKER_VERSION
+    from matcap.files.process import cores
     from matcap.relight.loops import library as relighting_loops
 
     packages, extras = _requirements()
@@ -141,7 +141,7 @@ def _run_small(folder: Path) -> None:
     from matcap.relight.render import relight
     from matcap.space.prior.store import load_prior
     from matcap.synth.request import SynthRequest
-    from matcap.synth.synthesise import synthesise
+    from matcap.synth.stream import synthesise
 
     material = load_prior().draw(0)
     maps = material.maps(_SIDE, _SIDE, seed=0)

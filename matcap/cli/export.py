@@ -7,11 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, files_read
-from matcap.export.options import ExportArea, ExportOptions
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    chosen,
+    files_read,
+    with_settings,
+)
+from matcap.export.textures import (
+    ExportArea,
+    ExportOptions,
+)
 from matcap.field.options import ReadOptions
-from matcap.files import values
+from matcap.files import settings as values
 
 if TYPE_CHECKING:
     from matcap.export.targets import Exported
@@ -50,7 +62,12 @@ def export(
     Warns where the target cannot represent the material. See docs/guide/export.md.
     """
     from matcap.errors import UsageError
-    from matcap.export.job import ExportJob, known_scale, material_reach
+    from matcap.export.job import (
+        ExportJob,
+        known_scale,
+        material_reach,
+        open_set,
+    )
     from matcap.export.targets import (
         DOCUMENTS,
         TARGETS,
@@ -58,11 +75,13 @@ def export(
         sidecar_name,
         write_export,
     )
-    from matcap.export.udim import open_set
     from matcap.field.opened import OpenedMaps, open_tile, refuse_with_piece
-    from matcap.files.memory import check_memory
     from matcap.files.output import check_output, check_writable
-    from matcap.files.settings import known, refuse_options
+    from matcap.files.process import check_memory
+    from matcap.files.settings import (
+        known,
+        refuse_options,
+    )
 
     if to is None:
         raise UsageError.at("matcap export", "there is no target", "give one with --to")

@@ -11,9 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import CaptureSettings, InspectSettings
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import JsonOption
+from matcap.capture.settings import (
+    CaptureSettings,
+    InspectSettings,
+)
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    JsonOption,
+    chosen,
+    with_settings,
+)
 from matcap.errors import ExitCode, MatcapError, UsageError
 
 if TYPE_CHECKING:
@@ -96,7 +105,7 @@ def _photo(
 ) -> tuple[dict[str, Any], str]:
     """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
-    from matcap.capture.tilt import tilt_line
+    from matcap.capture.rectified import tilt_line
 
     inspected = inspect_file(path, detail, fov, white)
     quality, relief = inspected.quality, inspected.relief_spectrum
@@ -111,7 +120,7 @@ def _photo(
 
 def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
     """Checks of several photographs of one sample, for JSON and as text."""
-    from matcap.capture.multiview.coverage import coverage_of_files
+    from matcap.capture.inspection import coverage_of_files
 
     quality = coverage_of_files(paths, fov)
     return quality.document(), "\n".join(_rated(f"{len(paths)} photographs together", quality))
@@ -143,10 +152,8 @@ def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 def _material(path: Path) -> tuple[dict[str, Any], str]:
     """Summary of a material, for JSON and as text."""
-    from matcap.capture.outputs import REPORT
-    from matcap.capture.report_file import read_report
-    from matcap.example.stored import read_exemplified
-    from matcap.example.summary import summary
+    from matcap.capture.report import REPORT, read_report
+    from matcap.example.example import read_exemplified, summary
     from matcap.export.job import known_scale
 
     exemplified, made = read_exemplified(path), "by example"

@@ -21,7 +21,6 @@ from typer.core import TyperCommand
 
 from matcap.cli import (
     batch,
-    blend,
     capture,
     doctor,
     export,
@@ -31,11 +30,16 @@ from matcap.cli import (
     synth,
     view,
 )
+from matcap.cli import (
+    sample as blend,
+)
 from matcap.cli.options import PlainCommand
 from matcap.errors import ExitCode, MatcapError
-from matcap.files.interrupts import ignore_signals, raise_on_signals
-from matcap.files.maker import MAKER
-from matcap.files.note import Note
+from matcap.files.names import MAKER, Note
+from matcap.files.process import (
+    ignore_signals,
+    raise_on_signals,
+)
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
 

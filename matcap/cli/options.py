@@ -1,16 +1,25 @@
-"""Options that several commands share."""
+"""Options that several commands share, and options generated from the fields of settings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
+from enum import Enum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from types import MappingProxyType
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
 from matcap.brdf.folder import mapset_files
+from matcap.files.settings import Setting, number, settings_in
+
+# Options that several commands share.
+
 
 T = TypeVar("T")
 
@@ -71,3 +80,113 @@ def _of(path: Path) -> Iterable[Path]:
     sets = [file.stem for file in folder.glob("*.json")]
     maps = {file for name in sets for file in mapset_files(name)}
     return [file for file in folder.glob("*") if file.suffix == ".matcap" or file.name in maps]
+
+
+# Options generated from the fields of settings (files/settings.py), their only definition.
+#
+# A command marks their position in its signature:
+#
+# @with_settings
+# def capture(photos: ..., given: Annotated[Given, Fields(CaptureSettings)] = NOTHING) -> None:
+#
+# and receives those that the user gave, by field.
+
+
+Given = Mapping[str, Any]
+NOTHING: Given = MappingProxyType({})
+
+
+class Fields:
+    """Marker in a signature for dataclasses' settings: `only` some, or all `but` some."""
+
+    def __init__(self, *kinds: type, but: tuple[str, ...] = (), only: tuple[str, ...] = ()) -> None:
+        settings = {name: one for kind in kinds for name, one in settings_in(kind).items()}
+        self.settings = {
+            n: one for n, one in settings.items() if n not in but and n in (only or settings)
+        }
+
+
+def with_settings(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with an option for each setting that its signature marks."""
+    hints = get_type_hints(command, include_extras=True)
+    shown: list[inspect.Parameter] = []
+    groups: dict[str, Fields] = {}
+    for name, one in inspect.signature(command).parameters.items():
+        extra = get_args(hints[name])[-1] if get_origin(hints[name]) is Annotated else None
+        if isinstance(extra, Fields):
+            groups[name] = extra
+            shown += [_parameter(setting) for setting in extra.settings.values()]
+        else:
+            shown.append(one.replace(annotation=hints[name]))
+
+    @wraps(command)
+    def called(context: typer.Context, **options: Any) -> None:  # noqa: ANN401
+        for group, stated in groups.items():
+            taken = {name: options.pop(name) for name in stated.settings}
+            options[group] = {
+                name: _plain(stated.settings[name], value)
+                for name, value in taken.items()
+                if getattr(context.get_parameter_source(name), "name", "") != "DEFAULT"
+            }
+        command(**options)
+
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    keywords = [one.replace(kind=keyword) for one in shown]
+    keywords.append(inspect.Parameter("context", keyword, annotation=typer.Context))
+    called.__dict__["__signature__"] = inspect.Signature(keywords)
+    called.__annotations__ = {one.name: one.annotation for one in keywords} | {"return": None}
+    return called
+
+
+def chosen(kind: Callable[..., T], given: Given) -> T:
+    """Instance of `kind` from the given options; options of other dataclasses are ignored."""
+    names = {one.name for one in fields(cast(Any, kind))}
+    return kind(**{name: value for name, value in given.items() if name in names})
+
+
+def _parameter(one: Setting) -> inspect.Parameter:
+    """Option of a setting."""
+    rule = one.rule
+    more: dict[str, Any] = {}
+    kind: Any = one.kind
+    default = None if rule.otherwise else _text_of_default(one.default)
+    if rule.words:
+        kind = cast(Any, Enum)(one.name, {word: word for word in rule.words})
+        default = default and kind(default)
+    elif rule.several:
+        kind = list[str]
+    elif rule.parse is not None:
+        kind, more = Any, {"parser": typed(rule.parse)}
+    elif kind is float and rule.metavar:
+        kind, more = Any, {"parser": typed(number(rule.least, rule.most))}
+    elif math.isfinite(rule.least):
+        more = {"min": kind(rule.least), "max": kind(rule.most)}
+    flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag
+    names = [flag, *([rule.short] if rule.short else [])]
+    option: Any = typer.Option
+    shown = rule.otherwise or default is not None
+    stated = option(*names, help=one.help, metavar=rule.metavar, show_default=shown, **more)
+    return inspect.Parameter(
+        one.field,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
+        annotation=Annotated[kind | None, stated],
+    )
+
+
+def _text_of_default(default: object) -> str | None:
+    """A default value as users would type it; None for None, flags and empty values."""
+    if default is None or isinstance(default, bool) or default in ((), ""):
+        return None
+    if isinstance(default, tuple):
+        return "x".join(str(part) for part in default)
+    return str(default)
+
+
+def _plain(one: Setting, value: Any) -> Any:  # noqa: ANN401
+    """Typer's value converted to the field's type."""
+    if isinstance(value, Enum):
+        return value.value
+    if one.rule.several and one.rule.parse is not None:
+        return one.rule.parse(value)
+    return Path(value) if one.kind is Path and one.rule.parse is None else value

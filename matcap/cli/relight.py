@@ -8,13 +8,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import JsonOption, OverwriteOption, QuietOption, files_read, printer
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    chosen,
+    files_read,
+    printer,
+    with_settings,
+)
 from matcap.field.options import ReadOptions
-from matcap.relight.options import RelightOptions
+from matcap.relight.output import RelightOptions
 
 if TYPE_CHECKING:
-    from matcap.files import values
+    from matcap.files import settings as values
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
@@ -48,9 +58,8 @@ def relight(
 
     from matcap.cli.display import RelightDisplay
     from matcap.errors import UsageError
-    from matcap.files.memory import check_memory
     from matcap.files.output import check_output, check_writable
-    from matcap.relight.named import ANIMATIONS, light_sheet
+    from matcap.files.process import check_memory
     from matcap.relight.output import (
         check_path,
         check_tiles_path,
@@ -59,7 +68,11 @@ def relight(
         write_still,
         write_tiles,
     )
-    from matcap.relight.planning import parse_choice
+    from matcap.relight.render import parse_choice
+    from matcap.relight.scenefile import (
+        ANIMATIONS,
+        light_sheet,
+    )
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
@@ -127,9 +140,11 @@ def relight(
 def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) -> Scene:
     from dataclasses import replace
 
-    from matcap.relight.named import preset
-    from matcap.relight.scene import Film, scene_from_light
-    from matcap.relight.scenefile import read_scene
+    from matcap.relight.scene import (
+        Film,
+        scene_from_light,
+    )
+    from matcap.relight.scenefile import preset, read_scene
 
     if name is None:
         scene, *others = [scene_from_light(light) for light in lights]
@@ -144,8 +159,7 @@ def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) ->
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     """Camera and flash of a material's photograph as a scene, or None."""
     from matcap.field.opened import open_photographed
-    from matcap.relight.photographed import photographed_scene
-    from matcap.relight.scene import Film
+    from matcap.relight.scene import Film, photographed_scene
 
     known = open_photographed(path)
     if known is None:

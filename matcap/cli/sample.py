@@ -1,4 +1,4 @@
-"""`matcap sample`: a sheet of materials drawn from the prior."""
+"""`matcap sample` and `matcap blend`: materials from the prior, and between two materials."""
 
 from __future__ import annotations
 
@@ -7,14 +7,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import OverwriteOption, QuietOption, printer
-from matcap.field.draw_options import DrawOptions, SampleOptions
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    OverwriteOption,
+    QuietOption,
+    chosen,
+    printer,
+    with_settings,
+)
+from matcap.field.options import BlendOptions, DrawOptions, SampleOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from matcap.field.material import Material
+
+
+# `matcap sample`: a sheet of materials drawn from the prior.
 
 
 @with_settings
@@ -35,8 +46,11 @@ def sample(
     from matcap.field.plane import check_seed
     from matcap.files.names import check_suffix
     from matcap.files.output import Output, check_output, check_writable
-    from matcap.files.picture import SUFFIXES, write_picture
-    from matcap.space.prior.sample import sample_sheet
+    from matcap.files.pixels import (
+        SUFFIXES,
+        write_picture,
+    )
+    from matcap.space.prior.store import sample_sheet
 
     options, near = chosen(SampleOptions, asked), chosen(DrawOptions, drawn_near)
     count, seed, materials = options.count, options.seed, options.materials
@@ -74,10 +88,65 @@ def drawing(near: DrawOptions, prior: Path | None = None) -> Callable[[int], Mat
     from functools import partial
 
     from matcap.photo.load import load_photo
-    from matcap.space.prior.store import DETAIL, load_prior
+    from matcap.space.prior.store import (
+        DETAIL,
+        load_prior,
+    )
 
     space = load_prior(prior)
     if near.like is None:
         return partial(space.draw, spread=near.spread)
     place = space.place(load_photo(near.like, long_side=DETAIL, noise=False))
     return partial(space.draw, near=place, spread=near.spread, name=_called(near.like))
+
+
+# `matcap blend`: materials between two materials.
+
+
+_STRIP = "strip.png"
+_PATTERNLESS = (
+    "A blend of two decoders has their colours, gloss and grain but not their patterns; captures "
+    "without --no-drawing keep them."
+)
+
+
+@with_settings
+def blend(
+    first: Annotated[Path, typer.Argument(metavar="A", help="A .matcap file or its folder.")],
+    second: Annotated[Path, typer.Argument(metavar="B", help="A .matcap file or its folder.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for materials and strip.")] = (
+        Path("blend")
+    ),
+    given: Annotated[Given, Fields(BlendOptions)] = NOTHING,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Interpolate between two materials: a .matcap file for each step, and a strip of pictures.
+
+    Exemplars are laid over each other and interpolated; of two decoders, latent vectors and
+    network weights, and the exemplars that they draw from. The ends are A and B themselves.
+    """
+    from matcap.field.opened import open_material
+    from matcap.files.names import usable_name
+    from matcap.files.output import Output, check_output, check_writable
+    from matcap.files.pixels import write_picture
+    from matcap.space import between
+
+    asked = chosen(BlendOptions, given)
+    (first, one), (second, other) = open_material(first), open_material(second)
+    stems = "_".join(usable_name(path.stem)[:60] for path in (first, second))
+    places = 3 if len({round(t, 3) for t in asked.shares}) == len(asked.shares) else 6
+    names = [f"{stems}_{t:.{places}f}.matcap" for t in asked.shares]
+    outputs = [out / name for name in (*names, _STRIP)]
+    check_output(outputs, inputs=[first, second], overwrite=overwrite)
+    check_writable(out, max(path.stat().st_size for path in (first, second)) * len(asked.shares))
+    materials = [between.blend(one, other, t) for t in asked.shares]
+    with Output(out).stage() as stage:
+        for name, material in zip(names, materials, strict=True):
+            material.save(stage / name)
+        write_picture(between.strip(materials, seed=asked.seed), stage / _STRIP)
+    say = printer(quiet=quiet)
+    if between.loses_patterns(one, other):
+        say(_PATTERNLESS)
+    for name in (*names, _STRIP):
+        say(f"wrote {out / name}")

@@ -8,12 +8,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.capture.settings import OutputSettings
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import OverwriteOption, PlainCommand, QuietOption, printer
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    OverwriteOption,
+    PlainCommand,
+    QuietOption,
+    chosen,
+    printer,
+    with_settings,
+)
 from matcap.errors import ExitCode, UsageError
-from matcap.field.draw_options import DrawOptions
-from matcap.field.options import ReadOptions
-from matcap.synth.request import SynthArea, SynthRequest, Work
+from matcap.field.options import DrawOptions, ReadOptions
+from matcap.synth.request import (
+    SynthArea,
+    SynthRequest,
+    Work,
+)
 
 if TYPE_CHECKING:
     from matcap.field.material import Material
@@ -65,9 +77,8 @@ def synth(
     import os
 
     from matcap.cli.display import SynthDisplay
-    from matcap.files.memory import keep_memory
-    from matcap.synth.synthesise import synthesise
-    from matcap.synth.unfinished import unfinished_bytes
+    from matcap.files.process import keep_memory
+    from matcap.synth.stream import synthesise, unfinished_bytes
 
     keep_memory()  # this process is matcap's own
     targets = exported.get("targets", ())

@@ -8,10 +8,18 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.fields import NOTHING, Fields, Given, chosen, with_settings
-from matcap.cli.options import OverwriteOption, QuietOption, printer
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    OverwriteOption,
+    QuietOption,
+    chosen,
+    printer,
+    with_settings,
+)
 from matcap.field.options import ReadOptions
-from matcap.view.options import ViewOptions
+from matcap.view.subject import ViewOptions
 
 
 @with_settings
@@ -30,11 +38,17 @@ def view(
     The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
     from matcap.files.output import check_output
-    from matcap.view.document import check_page_path, sealed_page, write_page
-    from matcap.view.references import find_references
-    from matcap.view.serve import serve
-    from matcap.view.server import make_app
-    from matcap.view.subject import Materials, open_subject
+    from matcap.view.document import (
+        check_page_path,
+        sealed_page,
+        write_page,
+    )
+    from matcap.view.pages import find_references
+    from matcap.view.server import make_app, serve
+    from matcap.view.subject import (
+        Materials,
+        open_subject,
+    )
 
     def announce(address: str) -> None:
         typer.echo(address)

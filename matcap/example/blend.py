@@ -1,26 +1,4 @@
-"""Multi-band blending across the seams of a rearranged exemplar [burt1983].
-
-Each octave B_k of the exemplar's maps is blended over about its wavelength. Let place(q) be the
-exemplar's texel shown at texel q of the field. If the patch around q went on to texel p, p would
-show place(q) - q + p. In band k, texel p gets the weighted mean of these votes,
-
-    V_k(p) = sum_q w_k(p - q) B_k(place(q) - q + p),
-    map(p) = exemplar(place(p)) + sum_k (g_k V_k(p) - B_k(place(p))).
-
-Within a patch all votes are equal and p shows the exemplar to the last bit. Albedo and F0 are
-blended as logarithms. The mean of different votes has less variance than each; the gain
-
-    g_k = 1 / sqrt(r_k + (1 - r_k) sum w^2)
-
-restores it, with r_k the correlation of different votes (seam_correlations). The height has no
-gain, which would amplify the slopes between patches.
-
-Votes are cast by nodes q on a grid of 2^k texels, with quadratic B-spline weights w_k: nine nodes a
-texel and band. The nodes' positions do not depend on the rectangle that is read, and sums have a
-fixed order, so that the bits do not either.
-
-Read next: kernel.c, coordinates.py.
-"""
+"""Multi-band blending across the seams of a rearranged exemplar [burt1983], and its normals."""
 
 from __future__ import annotations
 
@@ -33,10 +11,52 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.correction import Places
+from matcap.brdf.stated import NormalStyle
+from matcap.example.coordinates import Places
 from matcap.example.exemplar import ROUGHNESS, Exemplar, Floats
 from matcap.example.library import address, loops
-from matcap.field.plane import Period, Rectangle
+from matcap.field.plane import RING, Period, Rectangle
+
+# Normals of a block from its heights, in NumPy; field/source.py has the same in PyTorch.
+
+
+def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArray[np.float32]:
+    """(9 or 11, h, w) maps and normal, of maps (6 or 8, h + 2 RING, w + 2 RING)."""
+    height, size = maps[-1], np.float32(2.0 * texel_size)
+    across = (height[RING:-RING, 2 * RING :] - height[RING:-RING, : -2 * RING]) / size
+    up = (height[: -2 * RING, RING:-RING] - height[2 * RING :, RING:-RING]) / size
+    upright = np.float32(1.0) / np.sqrt(np.float32(1.0) + across * across + up * up)
+    planes = np.empty((len(maps) + 3, *across.shape), np.float32)
+    planes[:-3] = maps[:, RING:-RING, RING:-RING]
+    np.multiply(across, -upright, out=planes[-3])
+    np.multiply(up, upright if normal == "dx" else -upright, out=planes[-2])
+    planes[-1] = upright
+    return planes
+
+
+# Multi-band blending across the seams of a rearranged exemplar [burt1983].
+#
+# Each octave B_k of the exemplar's maps is blended over about its wavelength. Let place(q) be the
+# exemplar's texel shown at texel q of the field. If the patch around q went on to texel p, p would
+# show place(q) - q + p. In band k, texel p gets the weighted mean of these votes,
+#
+# V_k(p) = sum_q w_k(p - q) B_k(place(q) - q + p),
+# map(p) = exemplar(place(p)) + sum_k (g_k V_k(p) - B_k(place(p))).
+#
+# Within a patch all votes are equal and p shows the exemplar to the last bit. Albedo and F0 are
+# blended as logarithms. The mean of different votes has less variance than each; the gain
+#
+# g_k = 1 / sqrt(r_k + (1 - r_k) sum w^2)
+#
+# restores it, with r_k the correlation of different votes (seam_correlations). The height has no
+# gain, which would amplify the slopes between patches.
+#
+# Votes are cast by nodes q on a grid of 2^k texels, with quadratic B-spline weights w_k: nine nodes
+# a texel and band. The nodes' positions do not depend on the rectangle that is read, and sums have
+# a fixed order, so that the bits do not either.
+#
+# Read next: kernel.c, coordinates.py.
+
 
 # By band, finest first, level of the places that nodes read; docs/notes/field.md. Coarser levels
 # save time for coarse bands; more bands blend slower drifts of colour.

@@ -1,30 +1,114 @@
-"""Synthesis of exemplar coordinates, coarse to fine [lefebvre2005].
-
-A place is the exemplar's texel (x, y) that a texel of the field shows. The coarsest level is laid
-from patches at random places. Each finer level upsamples the places and corrects them
-(correction.py). Random numbers are hashes of seed and position, and a correction reads a fixed
-neighbourhood, so that a rectangle with a margin on every level has the same bits whoever computes
-it.
-
-Unlike Lefebvre and Hoppe, no level is jittered: that would break up structure of more than some ten
-texels, and does not reduce repetition (docs/notes/field.md).
-"""
+"""Synthesis of exemplar coordinates, coarse to fine [lefebvre2005], and their correction."""
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.correction import Places, correct, margin
-from matcap.example.grids import Frame
-from matcap.example.hashing import hash_places
+from matcap.example.index import Frame, Level, Lookup, two_phases
 from matcap.example.lattice import PhasedLattice, Phases, cells_of
-from matcap.example.lookup import Level, Lookup, two_phases
+from matcap.example.library import address, hash_places, loops
 from matcap.example.patches import Axis, cheapest, inset, lay_patches
-from matcap.field.plane import Period, Rectangle
-from matcap.field.turns import Integers
+from matcap.field.plane import Integers, Period, Rectangle
+
+# Correction of synthesised coordinates [lefebvre2005] with k-coherence candidates [tong2002].
+
+
+Places = NDArray[np.int16]  # (rows, columns, 2): x, y of the exemplar
+
+# As in kernel.c. A phase error of a tenth of a turn costs as much as a visible seam. The mismatch
+# of k-coherence candidates counts twice, so that patches stay large.
+SUBPASSES = ((0, 0), (1, 1), (0, 1), (1, 0))  # (row, column) parity of the places each one corrects
+REACH = 2  # radius in places of the neighbourhood that a sub-pass reads
+
+
+class _Level(ctypes.Structure):
+    _fields_ = (
+        ("appearance", ctypes.c_void_p),
+        ("placement_cost", ctypes.c_void_p),
+        ("similar", ctypes.c_void_p),
+        ("phases", ctypes.c_void_p),
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                "columns", "similar_columns", "cost_columns", "bits", "similar_bits", "spacing",
+                "left", "top", "right", "bottom",
+            )
+        ),
+    )  # fmt: skip
+
+
+def correct(
+    places: Places,
+    level: Level,
+    odd_columns: NDArray[np.bool_],
+    odd_rows: NDArray[np.bool_],
+    passes: int,
+    phases: Phases | None = None,
+) -> Places:
+    """Replace places by candidates that match their neighbourhood better.
+
+    A place that continues all its neighbours is kept. Otherwise candidates are the continuations of
+    the place itself and of its eight neighbours (the neighbour's place minus its offset), and for
+    each of these its k-coherence candidate. The cost is the squared difference of appearance at the
+    four diagonal neighbours, whose wanted appearance is the mean of what three of their neighbours
+    continue to there; plus phase error and placement cost. Of equal costs the first candidate wins,
+    continuations first.
+
+    Args:
+        places: (rows, columns, 2).
+        level: appearance, candidates and costs.
+        odd_columns, odd_rows: whether each column and row of the field is odd.
+        passes: number of passes, of four sub-passes each.
+        phases: (rows, columns, 2) of the ideal lattice, or None.
+
+    Returns:
+        (rows - 2 m, columns - 2 m, 2) with m = margin(passes).
+
+    Raises:
+        MatcapError: the compiled loops are missing.
+    """
+    places = np.ascontiguousarray(places).copy()
+    phases = None if phases is None else np.ascontiguousarray(phases)
+    scratch = np.empty_like(places)
+    frame = level.frame
+    c_level = _Level(
+        level.appearance.ctypes.data, level.placement_cost.ctypes.data, level.similar.ctypes.data,
+        None if level.phases is None else level.phases.ctypes.data,
+        level.appearance.shape[1], level.similar.shape[1], level.placement_cost.shape[1],
+        level.bits, level.similar_bits, level.spacing,
+        frame.left, frame.top, frame.right, frame.bottom,
+    )  # fmt: skip
+    rows, columns = places.shape[:2]
+    odd_columns, odd_rows = odd_columns.astype(np.uint8), odd_rows.astype(np.uint8)
+    loops().matcap_correct(
+        ctypes.byref(c_level), address(places), address(scratch), columns, rows,
+        address(odd_columns), address(odd_rows), passes,
+        None if phases is None else address(phases),
+    )  # fmt: skip
+    cut = margin(passes)
+    return places[cut : rows - cut, cut : columns - cut]
+
+
+def margin(passes: int) -> int:
+    """Places that a correction reads beyond those it returns, on every side."""
+    return REACH * len(SUBPASSES) * passes
+
+
+# Synthesis of exemplar coordinates, coarse to fine [lefebvre2005].
+#
+# A place is the exemplar's texel (x, y) that a texel of the field shows. The coarsest level is laid
+# from patches at random places. Each finer level upsamples the places and corrects them
+# (coordinates.py). Random numbers are hashes of seed and position, and a correction reads a fixed
+# neighbourhood, so that a rectangle with a margin on every level has the same bits whoever computes
+# it.
+#
+# Unlike Lefebvre and Hoppe, no level is jittered: that would break up structure of more than some
+# ten texels, and does not reduce repetition (docs/notes/field.md).
+
 
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _PASSES = (1, 2)  # of correction at the finest level, and at every coarser one

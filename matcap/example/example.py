@@ -1,15 +1,15 @@
-"""The by-example generator: an exemplar with its index.
-
-Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
-for the synthesis, and its maps are read at full resolution.
+"""The by-example generator: an exemplar with its index, read from a `.matcap` file, and its
+summary.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -17,26 +17,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import NormalStyle
-from matcap.example.blend import Band, ExemplarBands, Votes, bands_of, blended, seam_correlations
-from matcap.example.coordinates import coordinates
-from matcap.example.correction import Places
+from matcap.example.blend import (
+    Band,
+    ExemplarBands,
+    Votes,
+    bands_of,
+    blended,
+    seam_correlations,
+    with_normals,
+)
+from matcap.example.coordinates import Places, coordinates, initial_places
 from matcap.example.exemplar import Exemplar, Floats
-from matcap.example.grids import frame_of, level_count
-from matcap.example.index import Index, build_index
+from matcap.example.index import (
+    Index,
+    Lookup,
+    PatchSizes,
+    build_index,
+    frame_of,
+    kept_lattice,
+    level_count,
+    prepare,
+)
 from matcap.example.lattice import GRID, Frequency
-from matcap.example.lookup import Lookup, kept_lattice, prepare
-from matcap.example.normals import with_normals
-from matcap.example.patch_sizes import PatchSizes
-from matcap.example.repeat.source import BLOCKS, RepeatedSource
-from matcap.field.blocks import RING, Grid
-from matcap.field.plane import Period, Rectangle, check_period, check_seed, check_variety
-from matcap.files.values import bounded
+from matcap.example.repeat import BLOCKS, RepeatedSource
+from matcap.field.header import opened
+from matcap.field.plane import (
+    RING,
+    Grid,
+    Period,
+    Rectangle,
+    check_period,
+    check_seed,
+    check_variety,
+)
+from matcap.files.settings import bounded
 
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
     from matcap.brdf.maps import MapSet
+
+
+# The by-example generator: an exemplar with its index.
+#
+# Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
+# for the synthesis, and its maps are read at full resolution.
+
 
 _MEASURED = (1, 128)  # level, and places a side, of the square of seam_correlations
 _GRID = 1536  # texels of the grid's longer side, at most
@@ -146,7 +173,7 @@ class Example:
             UsageError: it is too small.
         """
         # Imports OpenCV, which takes a tenth of a second and only tiles need.
-        from matcap.example.repeat.repeat import repeated
+        from matcap.example.repeat import repeated
 
         exemplar, lattice = self.exemplar, self.index.lattice
         bits = detail_bits(exemplar)
@@ -374,3 +401,176 @@ def _halved(planes: Floats) -> Floats:
     rows, columns = planes.shape[1] // 2 * 2, planes.shape[2] // 2 * 2
     pairs = planes[:, 0:rows:2, :columns] + planes[:, 1:rows:2, :columns]
     return (pairs[:, :, 0::2] + pairs[:, :, 1::2]) * np.float32(0.25)
+
+
+# Coarse levels of detail: for each square of 2^level texels, a place of the exemplar.
+#
+# Synthesis runs from coarse to fine, so that a coarse level is a prefix of it. Beyond the coarsest
+# level each square has its initial patch, independent of its neighbours. The result is close to,
+# but not exactly, the mean of the finest level, whose corrections move seams.
+
+
+def coarse_places(example: Example, seed: int, level: int, area: Rectangle) -> Places:
+    """(height, width, 2) int16: x, y of the exemplar at each square's upper left texel.
+
+    Args:
+        example: the indexed exemplar.
+        seed: in [-2^63, 2^63).
+        level: squares are 2^level texels wide; at least detail_bits of the exemplar.
+        area: in squares.
+    """
+    bits, lookup = detail_bits(example.exemplar), example.lookup
+    coarsest = len(lookup.levels) - 1
+    depth = max(level - bits, 0)
+    if level < bits:
+        raise ValueError(f"level {level} is finer than the grid of places ({bits})")
+    if depth <= coarsest:
+        places = coordinates(lookup, seed, {depth: area}, None)[depth]
+    else:
+        step = depth - coarsest
+        columns = np.arange(area.x, area.x + area.width) << step
+        rows = np.arange(area.y, area.y + area.height) << step
+        places = initial_places(lookup, seed, columns, rows, None)
+    return places << np.int16(bits)
+
+
+# Reads the exemplar of a `.matcap` file, without PyTorch.
+
+
+@dataclass(frozen=True)
+class Exemplified:
+    """A material's exemplar with its name and provenance."""
+
+    name: str
+    """Name of the material."""
+    provenance: dict[str, Any]
+    """Record of how it was made; JSON."""
+    example: Example
+    """The indexed exemplar."""
+
+
+def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
+    """Read the exemplar of a `.matcap` file, or None if it has none.
+
+    Args:
+        path: of the file.
+        entry: "example", or "drawing" for the exemplar that a decoder draws from.
+
+    Raises:
+        MatcapError: missing, not a material, of another version, or damaged.
+    """
+    with opened(path, "np") as (file, about):
+        if entry not in about:
+            return None
+        example = example_of(about, file, entry)
+        return Exemplified(about["name"], about["provenance"], example)
+
+
+def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # noqa: ANN401
+    """Read the exemplar of an opened material's file, or None if it has none.
+
+    Args:
+        about: the file's JSON description.
+        file: opened for NumPy or for PyTorch.
+        path: of the file.
+
+    Raises:
+        SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.
+    """
+    return example_of(about, file) if "example" in about else None
+
+
+def example_of(about: Mapping[str, Any], file: Any, entry: str = "example") -> Example:  # noqa: ANN401
+    """The example of an entry of the description. Raises as read(), and KeyError without it."""
+
+    def data(name: str) -> NDArray[np.uint8]:
+        array = np.asarray(file.get_tensor(f"{entry}.{name}"))
+        if array.dtype != np.uint8 or array.ndim != 1:
+            raise ValueError(f"{name} is no bytes")
+        return array
+
+    return Example.read(about[entry], data)
+
+
+# Summary of an exemplar: size, periods of its lattice, unused share, variety, F0.
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Summary of one exemplar."""
+
+    size: tuple[int, int]
+    """(width, height) in texels."""
+    periods: tuple[float, ...]
+    """Periods of its lattice in texels; empty without one."""
+    left_out: float
+    """Share that stands out, such as stains, which fields avoid."""
+    variety: float
+    """Variety in [0, 1]; see ReadOptions."""
+    patches: tuple[int, int]
+    """Largest (width, height) of the field's patches, texels."""
+    texel_size: float
+    """Side of a texel in plane units."""
+    f0: tuple[float, ...] = ()
+    """Mean specular albedo: one number, or three where it has a colour."""
+
+    def document(self) -> dict[str, Any]:
+        """The summary for JSON."""
+        periods = [round(period, 2) for period in self.periods]
+        return {
+            "size": list(self.size), "periods": periods, "left_out": self.left_out,
+            "variety": self.variety, "patches": list(self.patches),
+            "f0": [round(value, 4) for value in self.f0],
+        }  # fmt: skip
+
+    def patches_text(self, millimetres: float | None = None) -> str:
+        """Size of the patches as a phrase; `millimetres` is of a plane unit, if known."""
+        longer = max(self.patches)
+        if millimetres is not None:
+            return f"patches of about {longer * self.texel_size * millimetres / 10.0:.2g} cm"
+        return f"patches of about {100 * longer / max(self.size):.0f} % of the photograph's width"
+
+    def lines(self, millimetres: float | None = None) -> list[tuple[str, str]]:
+        """(name, sentence) of each entry; `millimetres` is of a plane unit, if known."""
+        width, height = self.size
+        lattice = "Not periodic."
+        if self.periods:
+            periods = " and ".join(f"{period:.1f}" for period in self.periods)
+            lattice = f"It repeats every {periods} texels."
+        return [
+            ("exemplar", f"{width} x {height} texels of the photographed rectangle."),
+            ("lattice", lattice),
+            ("variety", f"{self.variety:g}: {self.patches_text(millimetres)}."),
+            (
+                "left out",
+                f"{100 * self.left_out:.1f} % stands out, such as stains; fields avoid it.",
+            ),
+            ("specular", self._specular()),
+        ]
+
+    def _specular(self) -> str:
+        """Mean F0 as a sentence."""
+        mean = ", ".join(f"{value:.2g}" for value in self.f0)
+        if len(self.f0) == 1:
+            return f"Mean F0 {mean}, without a colour."
+        return f"Mean F0 {mean} (red, green, blue): some of it is metal."
+
+
+def summary(example: Example) -> Summary:
+    """Summarise an example."""
+    lattice = example.index.lattice
+    waves = () if lattice is None else lattice.waves
+    side = 1 << detail_bits(example.exemplar)
+    periods = tuple(side / math.hypot(*wave) for wave in waves)
+    sizes = patch_sizes(example)
+    laid = kept_lattice(example.index, example.variety)
+    wide, high = (sizes.width, sizes.height) if laid is None else (round(sizes.cells),) * 2
+    return Summary(
+        example.exemplar.size,
+        periods,
+        example.index.left_out,
+        example.variety,
+        (wide * side, high * side),
+        example.exemplar.texel_size,
+        tuple(float(plane.mean(dtype=np.float64)) for plane in example.exemplar.specular),
+    )

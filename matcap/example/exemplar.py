@@ -1,15 +1,9 @@
-"""Exemplar: the maps of the photographed rectangle, with a confidence per map and texel.
-
-NumPy only, so that the field by example needs no PyTorch.
-
-In a file every map is packed 16-bit numbers (packed.py): half floats, but for height multiples of a
-power of two, as differences of half floats would give uneven slopes. Files may be hostile, so that
-sizes are checked before anything is unpacked.
-"""
+"""Exemplar: the maps of the photographed rectangle with a confidence per map and texel."""
 
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -19,7 +13,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import SPECULAR_CHANNELS, stated_specular
-from matcap.example.packed import pack, unpack
+
+# Compressed integer arrays: differences along rows, low bytes before high bytes, deflate.
+#
+# Of deflate only runs and Huffman codes are used: differences repeat rarely, and the search for
+# longer matches takes eight times as long for files that are not smaller.
+#
+# Decoding checks sizes, as files may be damaged or hostile.
+
+
+def pack(codes: NDArray[Any]) -> NDArray[np.uint8]:
+    """Compress an integer array."""
+    swapped = codes.copy()
+    swapped[..., 1:] -= codes[..., :-1]
+    planes = swapped.astype(swapped.dtype.newbyteorder("<")).view(np.uint8)
+    planes = planes.reshape(-1, swapped.dtype.itemsize).T
+    deflate = zlib.compressobj(strategy=zlib.Z_RLE)
+    return np.frombuffer(deflate.compress(planes.tobytes()) + deflate.flush(), np.uint8)
+
+
+def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDArray[Any]:
+    """Decompress an array of a shape and type; never allocates more than that needs.
+
+    Raises:
+        ValueError: the data are not of this shape and type.
+    """
+    wanted = np.dtype(kind).newbyteorder("<")
+    size = math.prod(shape) * wanted.itemsize
+    opened = zlib.decompressobj()
+    try:
+        data = opened.decompress(packed.tobytes(), size + 1)
+    except zlib.error as error:
+        raise ValueError(f"bytes that cannot be unpacked ({error})") from error
+    if len(data) != size or not opened.eof:
+        raise ValueError(f"{len(data)} bytes, expected {size}")
+    planes = np.frombuffer(data, np.uint8).reshape(wanted.itemsize, -1).T
+    values = np.ascontiguousarray(planes).view(wanted).reshape(shape)
+    return np.cumsum(values, axis=-1, dtype=kind)
+
+
+# Exemplar: the maps of the photographed rectangle, with a confidence per map and texel.
+#
+# NumPy only, so that the field by example needs no PyTorch.
+#
+# In a file every map is packed 16-bit numbers (exemplar.py): half floats, but for height
+# multiples of
+# a power of two, as differences of half floats would give uneven slopes. Files may be hostile, so
+# that sizes are checked before anything is unpacked.
+
 
 Floats = NDArray[np.float32]
 

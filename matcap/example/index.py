@@ -1,10 +1,5 @@
-"""Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
-
-What follows from these by exact arithmetic is not stored but computed again (lookup.py); appearance
-vectors alone would take 30 megabytes.
-
-Places of low confidence, and those that stand out, such as stains, have penalties: patches are not
-placed there, and seams avoid them.
+"""Index of an exemplar: grids of the synthesis levels, tables by level, candidates and
+penalties.
 """
 
 from __future__ import annotations
@@ -19,30 +14,162 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.appearance import DIMENSIONS, TAPS, Appearance, Basis, choose_basis, project
-from matcap.example.candidates import Candidates, find_candidates
-from matcap.example.exemplar import Exemplar
-from matcap.example.features import (
+from matcap.example.candidates import (
+    DIMENSIONS,
     PLANES,
+    TAPS,
+    Appearance,
+    Basis,
+    Candidates,
+    FeatureMap,
     Scale,
+    choose_basis,
     choose_scale,
     features_of,
+    find_candidates,
+    halved,
     planes_of,
+    project,
+    smoothed,
 )
-from matcap.example.grids import (
-    COST_BITS,
-    frame_of,
-    grid_bits,
-    grids_of,
-    level_count,
-    similar_bits,
-    step_of,
+from matcap.example.exemplar import Exemplar, pack, unpack
+from matcap.example.lattice import (
+    GRID,
+    LEAST_PATCH,
+    Frequency,
+    PhasedLattice,
+    Phases,
+    measure_lattice,
 )
-from matcap.example.lattice import GRID, Frequency, PhasedLattice, measure_lattice
-from matcap.example.packed import pack, unpack
+
+# Grids of the synthesis levels, and the frame that places are limited to.
+
+
+MOST_LEVELS = 5  # so that periods are multiples of 2^4 texels, as the decoder's
+COST_BITS = 2  # the grid of placement costs has a step of 2^COST_BITS texels
+_MARGIN = 3  # steps between places and the exemplar's border, for their neighbourhoods
+_LEAST_STEPS = 8  # least width of the coarsest level's frame, in its steps
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Rectangle of the exemplar's texels that places are limited to, ends included."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+def frame_of(level: int, width: int, height: int) -> Frame:
+    """The frame of a level's places, for an exemplar of this size."""
+    margin = _MARGIN << level
+    return Frame(margin, margin, width - 1 - margin, height - 1 - margin)
+
+
+def level_count(width: int, height: int) -> int:
+    """Number of levels for an exemplar of this size; 0 if it is too small."""
+    count = 0
+    while count < MOST_LEVELS and min(width, height) >= (_LEAST_STEPS + 2 * _MARGIN) << count:
+        count += 1
+    return count
+
+
+def grid_bits(level: int) -> int:
+    """log2 of the step of a level's appearance grid: half its spacing, at least a texel."""
+    return max(0, level - 1)
+
+
+def similar_bits(level: int) -> int:
+    """log2 of the step of a level's candidate grid: its spacing, at least two texels."""
+    return max(1, level)
+
+
+def step_of(level: int) -> int:
+    """Steps of a level's appearance grid between its places."""
+    return 2 if level else 1
+
+
+def grids_of(features: FeatureMap, count: int) -> list[FeatureMap]:
+    """The features on each level's appearance grid, smoothed to the level's spacing."""
+    grids = [features]
+    for _ in range(1, count):
+        grids.append(smoothed(features))
+        features = halved(features)
+    return grids
+
+
+# Sizes of the patches that a field's coarsest level is laid from, by its variety.
+
+
+# Patches of the coarsest level, and corrections; docs/notes/field.md.
+_PATCH = 128  # side of the smallest patches, texels
+_PART = 2  # least ratio of the exemplar's shorter side to that
+_OVERLAP = 3  # steps of the coarsest level by which the largest patch is smaller than the frame
+
+
+@dataclass(frozen=True)
+class PatchSizes:
+    """Sizes of patches, in texels of the grid of places."""
+
+    width: int
+    height: int
+    cells: float
+    """Approximate width of patches of a lattice; they are rounded to whole cells."""
+    loose: bool
+    """Variety 1: squares of a power of two, not fitted to their neighbours."""
+    whole: bool
+    """Variety 0: all patches are alike, the exemplar repeats."""
+
+    @staticmethod
+    def of(frame: Frame, spacing: int, lattice: PhasedLattice | None, variety: float) -> PatchSizes:
+        """Patch sizes of a variety.
+
+        Args:
+            frame: of the coarsest level's places.
+            spacing: of that level, texels.
+            lattice: of the exemplar, or None.
+            variety: 0 for the whole exemplar, 1 for the smallest patches.
+        """
+        wide, high = frame.right - frame.left, frame.bottom - frame.top
+        small = 1 << (min(_PATCH, min(wide, high) // _PART).bit_length() - 1)
+        if variety >= 1.0:
+            return PatchSizes(small, small, LEAST_PATCH, loose=True, whole=False)
+        largest = [max(small, side - _OVERLAP * spacing) for side in (wide, high)]
+        width, height = (
+            max(1, round(_across_borders(side, small, variety) / spacing)) * spacing
+            for side in largest
+        )
+        cells = _between(min(largest), LEAST_PATCH, variety)
+        if lattice is not None:
+            cells = lattice.fitting_cells(cells, largest[0], largest[1])
+        return PatchSizes(width, height, cells, loose=False, whole=variety <= 0.0)
+
+
+def _across_borders(large: int, small: int, variety: float) -> float:
+    """Side s, at most `large`, of patches that continue across the exemplar's borders.
+
+    These are seams as well: 1 / s + 1 / large is the inverse of _between.
+    """
+    return 1.0 / max(variety * (1.0 / small - 1.0 / large), 1.0 / large)
+
+
+def _between(large: int, small: int, variety: float) -> float:
+    """Harmonic interpolation from `large` at 0 to `small` at 1; divisions are exact everywhere."""
+    return 1.0 / ((1.0 - variety) / large + variety / small)
+
+
+# Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
+#
+# What follows from these by exact arithmetic is not stored but computed again (index.py);
+# appearance vectors alone would take 30 megabytes.
+#
+# Places of low confidence, and those that stand out, such as stains, have penalties: patches are
+# not placed there, and seams avoid them.
+
 
 # Candidates and penalties of an exemplar; docs/notes/field.md.
-_LEAST_STEPS = 4  # least distance between a place and its candidate, grid steps
+_NEAREST_STEPS = 4  # least distance between a place and its candidate, grid steps
 _LEAST_TEXELS = 8  # likewise, texels
 _FINENESS = 16  # least number of places along the shorter side of a lattice's patch
 # Median absolute deviations of a band of brightness from which places stand out (of a Gaussian, 4
@@ -75,7 +202,7 @@ class Index:
     """(H, W, 2) x, y in texels of each place's k-coherence candidate, of each level."""
     penalty: NDArray[np.uint8]
     """(H, W) of squares of 4 x 4 texels, square root of the placement cost in units of
-    2^PENALTY_BITS (lookup.py); 255 excludes a place."""
+    2^PENALTY_BITS (index.py); 255 excludes a place."""
     lattice: PhasedLattice | None
     """Lattice of a regular texture, or None."""
     left_out: float
@@ -194,7 +321,7 @@ def _similar(width: int, height: int, level: int, appearance: Appearance) -> Can
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
     )
     some = np.ascontiguousarray(appearance[::skip, ::skip])
-    return find_candidates(some, max(_LEAST_STEPS, _LEAST_TEXELS >> bits), allowed)
+    return find_candidates(some, max(_NEAREST_STEPS, _LEAST_TEXELS >> bits), allowed)
 
 
 def _outstanding(brightness: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -285,3 +412,125 @@ def _lattice(
             raise ValueError(f"waves in one direction, {waves}")
     rows, columns = (side + 1 for side in _shape(width, height, GRID))
     return PhasedLattice(vectors, unpack(tensor("bends"), (len(vectors), rows, columns), np.int32))
+
+
+# Tables that the synthesis reads, by level, computed from an exemplar and its index.
+#
+# A level is a grid of the field with a spacing of 2^level texels. Its neighbourhoods are compared
+# by the appearance of the exemplar smoothed to that spacing, sampled at half of it.
+
+
+# Tables of the synthesis; docs/notes/field.md.
+_ORDERED = 1  # first level at which phase errors have a cost
+# Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
+# 14, as much as a common seam.
+PENALTY_BITS = 11
+_SPARED = 16  # at most 1 / 16 of the frame is left out at either end, so that opposite borders fit
+
+
+@dataclass(frozen=True)
+class Level:
+    """Tables of one level."""
+
+    spacing: int
+    """Texels between places of the field."""
+    frame: Frame
+    """Limits of places."""
+    bits: int
+    """log2 of the appearance grid's step in texels."""
+    appearance: Appearance
+    """(H, W, DIMENSIONS) appearance vectors of the exemplar's places."""
+    similar_bits: int
+    """log2 of the candidate grid's step in texels."""
+    similar: NDArray[np.int16]
+    """(H, W, 2) k-coherence candidates, x, y in texels."""
+    placement_cost: NDArray[np.int32]
+    """(H, W) of squares of 2^COST_BITS texels, added to the mismatch."""
+    phases: Phases | None
+    """(H, W, 2) on the appearance grid; None where the level keeps to no lattice."""
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """Tables of all levels."""
+
+    levels: tuple[Level, ...]
+    """Levels of the pyramid, finest first."""
+    lattice: PhasedLattice | None
+    sizes: PatchSizes
+    """Sizes of the coarsest level's patches."""
+    joined: Frame
+    """The part of its frame of which opposite borders adjoin."""
+
+
+def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
+    """Compute the tables of an exemplar.
+
+    Args:
+        exemplar: on its grid of places.
+        index: of the exemplar.
+        variety: in [0, 1].
+    """
+    width, height = exemplar.size
+    features = features_of(planes_of(exemplar), index.scale)
+    grids = grids_of(features, len(index.bases))
+    with ThreadPoolExecutor() as pool:
+        appearances = list(pool.map(project, grids, index.bases))
+    placement_cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
+    lattice = kept_lattice(index, variety)
+    levels = tuple(
+        Level(
+            spacing=1 << level,
+            frame=frame_of(level, width, height),
+            bits=grid_bits(level),
+            appearance=appearance,
+            similar_bits=similar_bits(level),
+            similar=similar,
+            placement_cost=placement_cost,
+            phases=_phases(lattice, level, appearance),
+        )
+        for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
+    )
+    sizes = PatchSizes.of(levels[-1].frame, levels[-1].spacing, lattice, variety)
+    return Lookup(levels, lattice, sizes, _joined_frame(levels[-1]))
+
+
+def kept_lattice(index: Index, variety: float) -> PhasedLattice | None:
+    """The lattice that patches are aligned with; None at variety 0, where the exemplar repeats."""
+    return index.lattice if variety > 0.0 else None
+
+
+def _joined_frame(level: Level) -> Frame:
+    """The part of a level's frame of which opposite borders differ least in appearance."""
+    frame, bits = level.frame, level.bits
+    rows = slice(frame.top >> bits, (frame.bottom >> bits) + 1)
+    inside = level.appearance[rows, frame.left >> bits : (frame.right >> bits) + 1].astype(np.int64)
+    top, bottom = _least_step(inside)
+    left, right = _least_step(inside[top:bottom].swapaxes(0, 1))
+    return Frame(
+        frame.left + (left << bits),
+        frame.top + (top << bits),
+        frame.left + (right << bits) - 1,
+        frame.top + (bottom << bits) - 1,
+    )
+
+
+def _least_step(rows: NDArray[np.int64]) -> tuple[int, int]:
+    """First row, and the one after the last, of which the second continues the last best."""
+    spared = len(rows) // _SPARED
+    first, after = rows[: spared + 1, None], rows[None, len(rows) - 1 - spared :]
+    differences = np.square(first - after).sum(axis=(2, 3))
+    begin, end = np.unravel_index(int(np.argmin(differences)), differences.shape)
+    return int(begin), len(rows) - 1 - spared + int(end)
+
+
+def _phases(lattice: PhasedLattice | None, level: int, appearance: Appearance) -> Phases | None:
+    if lattice is None or level < _ORDERED:
+        return None
+    rows, columns = (np.arange(n) << grid_bits(level) for n in appearance.shape[:2])
+    return two_phases(lattice.phases(columns[None, :], rows[:, None]))
+
+
+def two_phases(phases: Phases) -> Phases:
+    """(..., 2) phases; with one wave the second is 0."""
+    return np.pad(phases, ((0, 0), (0, 0), (0, 2 - phases.shape[-1])))

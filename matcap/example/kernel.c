@@ -33,7 +33,7 @@
 #endif
 
 enum {
-    /* As in appearance.py, grids.py and plain_loops.py. */
+    /* As in candidates.py, index.py and plain_loops.py. */
     DIMENSIONS = 8,
     PLANES = 8,
     SIDE = 5,

@@ -1,7 +1,7 @@
 """The lattice of an exemplar (weave, tiles): frequency vectors, and the phase at every place.
 
 In a photograph the lattice is bent, so that its phase is measured at every 16th texel. The field
-has the ideal lattice of the same mean frequencies (field/turns.py): patches are laid in phase with
+has the ideal lattice of the same mean frequencies (field/plane.py): patches are laid in phase with
 it, and corrections penalise phase errors.
 
 Phases are 16-bit integers in units of 2^-16 turn, which wrap as turns do.
@@ -16,9 +16,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.hashing import scramble
-from matcap.field.plane import Period
-from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
+from matcap.example.library import scramble
+from matcap.field.plane import (
+    Integers,
+    Period,
+    same_cells,
+    turns_per_texel,
+    whole_turns,
+)
 
 # Measurement of a lattice and its patches; docs/notes/field.md.
 _BINS = 24  # of a turn, for the search for joints

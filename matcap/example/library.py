@@ -1,4 +1,4 @@
-"""Loads the compiled loops (kernel.c)."""
+"""The compiled loops (kernel.c), and random integers as a pure function of (seed, level, x, y)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,60 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.compiled import find_library, not_built
+from matcap.field.plane import Integers
+from matcap.files.process import find_library, not_built
+
+# Random integers as a pure function of (seed, level, x, y), exact anywhere in [-2^40, 2^40].
+#
+# The counter-based hash of space/random_field.py, in NumPy: column and row are hashed separately,
+# combined, and hashed again, all modulo 2^64.
+
+
+Hashes = NDArray[np.uint64]
+
+_WORD = 2**64
+_GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)  # the multipliers of splitmix64's finaliser
+_MIX_2 = np.uint64(0x94D049BB133111EB)  # [steele2014]
+_DRAW = 0xD6E8FEB86659FD93  # makes the draws of one place independent
+
+
+def scramble(value: Hashes) -> Hashes:
+    """splitmix64's finaliser [steele2014]: a bijection in which each bit affects all others."""
+    value = (value ^ (value >> np.uint64(30))) * _MIX_1
+    value = (value ^ (value >> np.uint64(27))) * _MIX_2
+    return value ^ (value >> np.uint64(31))
+
+
+def hash_places(seed: int, level: int, x: Integers, y: Integers) -> Hashes:
+    """Hashes of positions.
+
+    Args:
+        seed: in [-2^63, 2^63).
+        level: hashes of different levels are independent.
+        x, y: columns and rows, of shapes that broadcast.
+    """
+    start = scramble(np.array([(seed + _GOLDEN) % _WORD], np.uint64))
+    counter = [(2 * level + 1) * _GOLDEN % _WORD, (2 * level + 2) * _GOLDEN % _WORD]
+    for_column, for_row = scramble(np.array(counter, np.uint64) + start)
+    golden = np.uint64(_GOLDEN)
+    column = scramble(x.astype(np.uint64) * golden + for_column)
+    row = scramble(y.astype(np.uint64) * golden + for_row)
+    return scramble(column ^ row)
+
+
+def draw(hashes: Hashes, index: int, count: int) -> Integers:
+    """The index-th random integer in [0, count) of each hash; count is at most 2^31."""
+    stride = np.array([index * _DRAW % _WORD], np.uint64)
+    bits = scramble(hashes + stride) >> np.uint64(32)
+    return (bits * np.uint64(count) >> np.uint64(32)).astype(np.int64)
+
+
+# Loads the compiled loops (kernel.c).
+
 
 _FORM = 3  # version of kernel.c's interface
 

@@ -18,10 +18,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.grids import COST_BITS, Frame
-from matcap.example.hashing import Hashes, draw, hash_places
-from matcap.example.lookup import Level
-from matcap.field.turns import Integers
+from matcap.example.index import (
+    COST_BITS,
+    Frame,
+    Level,
+)
+from matcap.example.library import (
+    Hashes,
+    draw,
+    hash_places,
+)
+from matcap.field.plane import Integers
 
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _DRAWS = 4  # random places of which the one of least placement cost is taken

@@ -14,12 +14,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.example.candidates import (
+    features_of,
+    planes_of,
+)
 from matcap.example.coordinates import coordinates
-from matcap.example.example import Example, coarsened, detail_bits
-from matcap.example.features import features_of, planes_of
-from matcap.example.grids import grid_bits, grids_of
-from matcap.example.lookup import Lookup
-from matcap.example.patch_sizes import PatchSizes
+from matcap.example.example import (
+    Example,
+    coarsened,
+    detail_bits,
+)
+from matcap.example.index import (
+    Lookup,
+    PatchSizes,
+    grid_bits,
+    grids_of,
+)
 from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.

@@ -23,19 +23,20 @@ from typing import Literal
 import numpy as np
 import torch
 
-from matcap.export.fit import fitted_tables
-from matcap.export.formats import Picture
 from matcap.export.gltf import ior
-from matcap.export.job import ExportJob, MapRows
-from matcap.export.metallic import FIRST_METAL, Metallic, MetallicAim, to_metallic
-from matcap.export.presets import EngineModel
-from matcap.export.shading import TargetShading
-from matcap.export.specular_workflow import (
-    base_colour,
-    clipping_notes,
-    specular_colour,
+from matcap.export.job import (
+    ExportJob,
+    MapRows,
 )
-from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
+from matcap.export.occlusion import Picture
+from matcap.export.presets import EngineModel
+from matcap.export.shading import (
+    MadeSurface,
+    Reader,
+    TargetShading,
+    TargetSurface,
+    nearest,
+)
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
@@ -44,6 +45,16 @@ from matcap.export.textures import (
     signed,
     standard_surface,
     standard_textures,
+)
+from matcap.export.workflows import (
+    FIRST_METAL,
+    Metallic,
+    MetallicAim,
+    base_colour,
+    clipping_notes,
+    fitted_tables,
+    specular_colour,
+    to_metallic,
 )
 
 VERSION = "1.39"

@@ -1,12 +1,4 @@
-"""Mitsuba 3 scenes: the maps under `matcap relight`'s light "top".
-
-NAME_exact.xml has matcap's reflectance, a BSDF in Python (scripts/matcap_bsdf.py). NAME.xml uses
-Mitsuba's plugins: a blend of `diffuse` and a metallic `principled`, whose Fresnel is Schlick's. Per
-texel a share w is specular with F0 / w, the rest diffuse; w is as large as the diffuse albedo
-allows. Diffuse albedo and F0 are exact; reflection at grazing is w instead of 1, and masking is
-separable Smith. Bare metal uses `principled` alone. (`roughconductor` has the metal's own Fresnel,
-2 to 9 % of the light off Schlick's.)
-"""
+"""Mitsuba 3 scenes and Blender scripts of a map set."""
 
 from __future__ import annotations
 
@@ -18,19 +10,29 @@ from importlib.resources import files as resources
 
 import numpy as np
 
-from matcap.export.formats import Picture, brightest_channel
 from matcap.export.job import ExportJob, MapRows
-from matcap.export.shading import TargetShading
-from matcap.export.surface import Reader, TargetSurface
+from matcap.export.occlusion import Picture, brightest_channel
+from matcap.export.shading import Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     Export,
     by_file,
     file_names,
+    height_entry,
     signed,
     standard_surface,
     standard_textures,
 )
+
+# Mitsuba 3 scenes: the maps under `matcap relight`'s light "top".
+#
+# NAME_exact.xml has matcap's reflectance, a BSDF in Python (scripts/matcap_bsdf.py). NAME.xml uses
+# Mitsuba's plugins: a blend of `diffuse` and a metallic `principled`, whose Fresnel is Schlick's.
+# Per texel a share w is specular with F0 / w, the rest diffuse; w is as large as the diffuse albedo
+# allows. Diffuse albedo and F0 are exact; reflection at grazing is w instead of 1, and masking is
+# separable Smith. Bare metal uses `principled` alone. (`roughconductor` has the metal's own
+# Fresnel, 2 to 9 % of the light off Schlick's.)
+
 
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
@@ -124,7 +126,10 @@ def _blend_specular(piece: MapRows) -> Picture:
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     """The scene file: a rectangle from straight above, under one point light."""
-    from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
+    from matcap.relight.scene import (
+        NAMED_LIGHTS,
+        exposing_intensity,
+    )
 
     width, height = job.extent
     shrunk = min(1.0, _LARGEST_FILM / max(job.maps.size))
@@ -184,3 +189,23 @@ def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) 
     # Mitsuba maps a picture's first row to v = 0, the rectangle's lower border.
     upright = ET.SubElement(texture, "transform", name="to_uv")
     ET.SubElement(upright, "scale", x="1", y="-1")
+
+
+# Export to Blender: textures, and a script that builds the material from them.
+#
+# The script is the same for every material (scripts/blender_material.py) and reads the sidecar
+# NAME_blender.json. In Cycles the material has matcap's reflectance; Eevee approximates it. Plane
+# and displacement are in metres, Blender's unit.
+
+
+def blender(job: ExportJob) -> Export:
+    """NAME_blender.py and its textures."""
+    textures = standard_textures(job)
+    script = resources("matcap.export.scripts").joinpath("blender_material.py").read_bytes()
+    return Export(
+        by_file(job.name, textures),
+        {f"{job.name}_blender.py": script},
+        {"exact": partial(standard_surface, textures)},
+        ("needs Blender 4.3 or later, and Cycles for the exact reflectance", *job.size_notes()),
+        {"textures": file_names(job.name, textures)} | height_entry(job, 1.0, 0.0),
+    )

@@ -16,8 +16,11 @@ import numpy as np
 from torch import Tensor
 
 from matcap.errors import UsageError
-from matcap.export.fit import fitted_tables
-from matcap.export.formats import (
+from matcap.export.job import (
+    ExportJob,
+    MapRows,
+)
+from matcap.export.occlusion import (
     Depth,
     NormalMaps,
     Picture,
@@ -25,11 +28,14 @@ from matcap.export.formats import (
     mean_channel,
     rgb,
 )
-from matcap.export.job import ExportJob, MapRows
-from matcap.export.metallic import FIRST_METAL, FORMS, Form, Metallic, MetallicAim, to_metallic
-from matcap.export.options import ExportOptions
-from matcap.export.shading import MATCAP, TargetShading
-from matcap.export.surface import MadeSurface, Reader, TargetSurface, nearest
+from matcap.export.shading import (
+    MATCAP,
+    MadeSurface,
+    Reader,
+    TargetShading,
+    TargetSurface,
+    nearest,
+)
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
@@ -44,6 +50,7 @@ from matcap.export.textures import (
     SIGNED_NORMAL,
     SPECULAR,
     Export,
+    ExportOptions,
     Workflow,
     coded_height,
     coded_normal,
@@ -53,7 +60,20 @@ from matcap.export.textures import (
     picture,
     signed,
 )
-from matcap.files.names import is_portable, plain_name, shown
+from matcap.export.workflows import (
+    FIRST_METAL,
+    FORMS,
+    Form,
+    Metallic,
+    MetallicAim,
+    fitted_tables,
+    to_metallic,
+)
+from matcap.files.names import (
+    is_portable,
+    plain_name,
+    shown,
+)
 from matcap.files.settings import known
 
 _FIELDS = ("stem", "map", "res", "format")
@@ -120,7 +140,7 @@ class EngineModel:
     even: float | None = None
     """Largest F0 of dielectrics that one setting of the material can choose; None without one."""
     form: Form = "plain"
-    """Form of the metallic workflow (metallic.py)."""
+    """Form of the metallic workflow (workflows.py)."""
 
     def of(self, job: ExportJob) -> EngineModel:
         """The model for a job: an engine with one F0 for all dielectrics gets the job's mean.

@@ -30,7 +30,7 @@ Keys:
     notes: for users, a sentence each.
     textures: the file of each map, for scripts.
     metallic: conversion to the metallic workflow, "plain", "tinted" or "free"
-        (matcap/export/metallic.py); only of a metallic workflow.
+        (matcap/export/workflows.py); only of a metallic workflow.
     provenance: how the material was made.
 """
 
@@ -44,25 +44,39 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from matcap.brdf.seam import seam_ratio
+from matcap.brdf.edited import seam_ratio
 from matcap.errors import UsageError
-from matcap.export.blender import blender
 from matcap.export.engines import PLAIN, PRESETS
 from matcap.export.gltf import gltf_metallic, gltf_specular
-from matcap.export.job import ExportJob, known_scale, material_reach
+from matcap.export.job import (
+    ExportJob,
+    known_scale,
+    material_reach,
+)
 from matcap.export.materialx import materialx
-from matcap.export.mitsuba import mitsuba
-from matcap.export.options import ExportOptions
+from matcap.export.mitsuba import blender, mitsuba
 from matcap.export.presets import Preset, pack
-from matcap.export.surface import Residual, residuals
+from matcap.export.shading import (
+    Residual,
+    residuals,
+)
 from matcap.export.texture_file import WRITERS, TextureFile
-from matcap.export.textures import Export, Workflow
+from matcap.export.textures import (
+    Export,
+    ExportOptions,
+    Workflow,
+)
 from matcap.export.usd import usd_metallic, usd_specular
-from matcap.files.maker import MAKER_VERSION
-from matcap.files.names import plain_name, sanitised_name
+from matcap.files.names import (
+    MAKER_VERSION,
+    TOKEN,
+    plain_name,
+    sanitised_name,
+    tile_names,
+    tile_number,
+)
 from matcap.files.output import Output, check_output
 from matcap.files.settings import known
-from matcap.files.udim import TOKEN, tile_names, tile_number
 
 FORMAT = "matcap export"
 VERSION = 2

@@ -26,14 +26,23 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
-from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import (
+    ExportJob,
+    MapRows,
+)
 from matcap.export.materialx import INPUTS, Layered
+from matcap.export.occlusion import (
+    Picture,
+    rgb,
+)
 from matcap.export.presets import EngineModel, PackedMaterial
-from matcap.export.shading import TargetShading
-from matcap.export.specular_workflow import base_colour, clipping_notes, specular_colour
-from matcap.export.surface import MadeSurface, Reader, TargetSurface
+from matcap.export.shading import (
+    MadeSurface,
+    Reader,
+    TargetShading,
+    TargetSurface,
+)
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
@@ -53,7 +62,12 @@ from matcap.export.textures import (
     signed,
     standard_textures,
 )
-from matcap.files.maker import MAKER
+from matcap.export.workflows import (
+    base_colour,
+    clipping_notes,
+    specular_colour,
+)
+from matcap.files.names import MAKER
 
 SHADING = TargetShading(layer="half", each=True)
 # Shading of programs that convert UsdPreviewSurface to a Principled BSDF with a specular tint.

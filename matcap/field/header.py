@@ -15,9 +15,8 @@ from safetensors import SafetensorError, safe_open
 
 from matcap.brdf.stated import known_provenance
 from matcap.errors import MatcapError
-from matcap.files.digest import digest_matches
-from matcap.files.names import sanitised_name
-from matcap.files.values import bounded
+from matcap.files.names import digest_matches, sanitised_name
+from matcap.files.settings import bounded
 
 FORMAT = "matcap-material"
 VERSION = 5  # of the file

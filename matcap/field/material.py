@@ -43,16 +43,19 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
-from matcap.field.field import Field
 from matcap.field.header import FORMAT, VERSION, opened
-from matcap.field.source import FieldGenerator, Generator
+from matcap.field.source import (
+    Field,
+    FieldGenerator,
+    Generator,
+)
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 
 # Modules that read each generator from a file, imported on demand. A material's maps are made by
 # the first of these generators that it has.
 GENERATORS: Mapping[Generator, str] = {
-    "example": "matcap.example.stored",
+    "example": "matcap.example.example",
     "decoder": "matcap.space.tuned",
 }
 

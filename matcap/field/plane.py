@@ -1,16 +1,23 @@
-"""Coordinates on the endless plane: periods, seeds and spans, with their limits.
-
-Imports no PyTorch, for a fast start.
-"""
+"""The endless plane: coordinates and limits, exact phases of waves, the grid of blocks."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from matcap.errors import UsageError
-from matcap.files.values import COORDINATE_LIMIT as COORDINATE_LIMIT
-from matcap.files.values import SEED_LIMIT
-from matcap.files.values import Rectangle as Rectangle
+from matcap.files.settings import COORDINATE_LIMIT as COORDINATE_LIMIT
+from matcap.files.settings import SEED_LIMIT
+from matcap.files.settings import Rectangle as Rectangle
+
+# Coordinates on the endless plane: periods, seeds and spans, with their limits.
+#
+# Imports no PyTorch, for a fast start.
+
 
 # Period of a field in texels along x and y; None for an axis along which it never repeats.
 Period = tuple[int | None, int | None]
@@ -66,3 +73,153 @@ class Span:
     def within(self, outer: Span) -> slice:
         """Slice of this span in an array that covers `outer`."""
         return slice(self.start - outer.start, self.stop - outer.start)
+
+
+# Exact phases of plane waves on the endless plane, in integers of 2^-64 turn.
+#
+# The phase at texel (x, y) is x * step_x + y * step_y + start, a sum of Python's integers. It has
+# no rounding error however far away a texel lies, and wraps modulo 2^64 as turns do.
+
+
+Integers = NDArray[np.int64]
+
+
+def turns_per_texel(frequency: float, period: int | None) -> int:
+    """A frequency in cycles per texel as 2^-64 turns per texel, in [-2^63, 2^63).
+
+    With a period it is the nearest frequency that makes whole cycles in it.
+    """
+    exact = frequency * 2**64
+    if period is not None:
+        exact = round(frequency * period) * 2**64 / period
+    return (round(exact) + 2**63) % 2**64 - 2**63
+
+
+def whole_turns(columns: list[int], rows: list[int]) -> Integers:
+    """(rows, columns) whole turns of column + row, both in 2^-64 turn: floor division by 2^64.
+
+    Computed from the upper and the lower 64 bits of each, with the carry between them.
+    """
+    (column_high, column_low), (row_high, row_low) = _halves(columns), _halves(rows)
+    carry = (row_low[:, None] + column_low[None, :]) < column_low[None, :]
+    return row_high[:, None] + column_high[None, :] + carry
+
+
+def _halves(values: list[int]) -> tuple[Integers, NDArray[np.uint64]]:
+    high = np.array([value >> 64 for value in values], np.int64)
+    return high, np.array([value % 2**64 for value in values], np.uint64)
+
+
+def same_cells(
+    first: Integers, second: Integers, along_x: tuple[int, int], along_y: tuple[int, int]
+) -> tuple[Integers, Integers]:
+    """One representative (first, second) for all lattice cells that a periodic field repeats.
+
+    Args:
+        first, second: whole turns of both waves, which number a cell.
+        along_x, along_y: turns of both waves in the field's period along x and along y; (0, 0)
+            along an axis without a period.
+    """
+    # Euclid's algorithm on both repeats, until the second leaves the first wave's number as it is.
+    while along_y[0]:
+        times = along_x[0] // along_y[0]
+        rest = along_x[0] - times * along_y[0], along_x[1] - times * along_y[1]
+        along_x, along_y = along_y, rest
+    if along_x[0]:
+        repeats = first // along_x[0]
+        first, second = first - repeats * along_x[0], second - repeats * along_x[1]
+        size = abs(along_y[1])
+    else:
+        size = math.gcd(along_x[1], along_y[1])
+    return first, second % size if size else second
+
+
+# The fixed grid of blocks that the plane is cut into, and the blocks that a rectangle covers.
+
+
+BLOCK = 512  # texels along x; docs/notes/field.md has the measurement
+BLOCK_HEIGHT = 256
+RING = 1  # texels around a block from which its border's slopes are computed
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Blocks of width x height texels; one has its upper left texel at (0, 0)."""
+
+    width: int = BLOCK
+    height: int = BLOCK_HEIGHT
+
+
+@dataclass(frozen=True)
+class BlockPart:
+    """The part of a requested rectangle that lies in one block."""
+
+    block: Rectangle
+    source: tuple[slice, slice]
+    """Rows and columns of the block."""
+    target: tuple[slice, slice]
+    """Rows and columns of the rectangle."""
+
+    @property
+    def texels(self) -> int:
+        """Number of texels."""
+        rows, columns = self.target
+        return (rows.stop - rows.start) * (columns.stop - columns.start)
+
+
+def check_rectangle(wanted: Rectangle) -> Rectangle:
+    """Return the rectangle.
+
+    Raises:
+        UsageError: it is empty, or reaches beyond COORDINATE_LIMIT.
+    """
+    if wanted.width <= 0 or wanted.height <= 0:
+        raise UsageError(
+            f"the size {wanted.width}x{wanted.height} is empty",
+            remedy="give a width and a height of at least 1",
+        )
+    ends = (wanted.x, wanted.y, wanted.x + wanted.width, wanted.y + wanted.height)
+    if any(abs(end) > COORDINATE_LIMIT for end in ends):
+        raise UsageError(
+            "the rectangle reaches beyond 2^40 texels", remedy="stay inside [-2^40, 2^40]"
+        )
+    return wanted
+
+
+def block_parts(wanted: Rectangle, grid: Grid, period: Period | None) -> Iterator[BlockPart]:
+    """Cut a rectangle into its parts by block, row by row.
+
+    Coordinates of a periodic field are taken modulo the period, so that every repeat reads the
+    same blocks and gets the same bits.
+    """
+    along_x, along_y = period or (None, None)
+    for rows in _runs(wanted.y, wanted.height, grid.height, along_y):
+        for columns in _runs(wanted.x, wanted.width, grid.width, along_x):
+            yield BlockPart(
+                block=Rectangle(columns.block, rows.block, grid.width, grid.height),
+                source=(rows.source, columns.source),
+                target=(rows.target, columns.target),
+            )
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A part along one axis: the block's first texel, and slices of block and rectangle."""
+
+    block: int
+    source: slice
+    target: slice
+
+
+def _runs(start: int, length: int, side: int, period: int | None) -> Iterator[_Run]:
+    done = 0
+    while done < length:
+        place = start + done
+        if period is not None:
+            place %= period
+        block = place // side * side
+        size = min(block + side - place, length - done)
+        if period is not None:
+            size = min(size, period - place)
+        yield _Run(block, slice(place - block, place - block + size), slice(done, done + size))
+        done += size

@@ -1,24 +1,140 @@
-"""Colour spaces of files: transfer functions and matrices from code values to linear Rec.709.
-
-A file states its colour space by an ICC profile (icc.py), by code points (ITU-T H.273: cICP in PNG,
-nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
-ColorSpace. The sRGB curve is in srgb.py, primaries are in rec709.py.
-
-Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2 for
-PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
+"""Colour spaces: Rec.709, the sRGB transfer function, and conversions of code values to linear
+light.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.rec709 import LUMINANCE, REC709, rec709_from
-from matcap.files.srgb import srgb_decode
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+# Rec.709 primaries and luminance, and conversion from other primaries (ITU-R BT.709-6).
+#
+# Every linear colour in matcap is Rec.709 with the white point D65.
+
+
+Matrix = NDArray[np.float64]
+
+# Chromaticities x, y of red, green, blue and white (ITU-R BT.709-6; D65).
+REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+# Luminance of linear red, green and blue (BT.709-6, item 3.2): white is 1.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+# Primaries of CIE XYZ values stored as red X, green Y, blue Z.
+XYZ = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0 / 3.0, 1.0 / 3.0)
+_BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+_SAME = 2e-3  # tolerance of coefficients, for primaries rounded to two digits
+
+
+def rec709_from(primaries: Sequence[float]) -> Matrix | None:
+    """(3, 3) matrix from linear colours of other primaries to Rec.709; None for the identity.
+
+    White is adapted to D65 by the Bradford transform [lam1985], as in ICC profiles. CIE XYZ values
+    are taken as relative to D65, whose white is (0.9505, 1, 1.089).
+
+    Args:
+        primaries: x, y of red, green, blue and white, as an EXR file's `chromaticities`.
+
+    Raises:
+        ValueError: the primaries are no basis of colours.
+    """
+    given = np.asarray(primaries, np.float64)
+    if given.shape != (8,) or not np.isfinite(given).all():
+        raise ValueError("the primaries are not eight finite numbers")
+    if np.abs(given[:6] - XYZ[:6]).max() < _SAME:
+        return np.asarray(np.linalg.inv(_to_xyz(np.array(REC709))))
+    own, target = _to_xyz(given), _to_xyz(np.array(REC709))
+    white = own.sum(axis=1)
+    scale = (_BRADFORD @ target.sum(axis=1)) / (_BRADFORD @ white)
+    adapted = np.linalg.solve(_BRADFORD, scale[:, None] * (_BRADFORD @ own))
+    matrix = np.linalg.solve(target, adapted)
+    if not np.isfinite(matrix).all() or np.abs(matrix).max() > 100.0:
+        raise ValueError("the primaries do not span a colour space")
+    matrix /= matrix.sum(axis=1, keepdims=True)  # grey stays grey, to the last bit
+    return None if np.abs(matrix - np.eye(3)).max() < _SAME else np.asarray(matrix, np.float64)
+
+
+def _to_xyz(given: Matrix) -> Matrix:
+    """(3, 3) matrix from linear colours to XYZ, with Y = 1 for white (SMPTE RP 177)."""
+    x, y = given[0::2], given[1::2]
+    if abs(y[3]) < 1e-6:
+        raise ValueError("white has no luminance")
+    axes = np.stack([x[:3], y[:3], 1.0 - x[:3] - y[:3]])
+    if abs(float(np.linalg.det(axes))) < 1e-6:
+        raise ValueError("the primaries lie on a line")
+    white = np.array([x[3] / y[3], 1.0, (1.0 - x[3] - y[3]) / y[3]])
+    return np.asarray(axes * np.linalg.solve(axes, white))
+
+
+# The sRGB transfer function between linear light and code values (IEC 61966-2-1).
+#
+# code = 12.92 light for light <= 0.0031308, else 1.055 light^(1/2.4) - 0.055. Light 0.5 is code
+# 0.735357, and code 0.5 is light 0.214041. Values below 0 and above 1 are extrapolated by the same
+# formulas. Derivatives are finite everywhere. For NumPy and PyTorch.
+
+
+CodeValues = TypeVar("CodeValues", NDArray[np.float64], NDArray[np.float32])
+
+# Limit of the linear segment, in code values and in light.
+_KNEE_CODE, _KNEE_LIGHT = 0.04045, 0.0031308
+
+
+def srgb_decode(code: CodeValues) -> CodeValues:
+    """Linear light of code values, any shape; the code 0.5 is the light 0.214041."""
+    power = ((np.maximum(code, _KNEE_CODE) + 0.055) / 1.055) ** 2.4
+    return np.where(code <= _KNEE_CODE, code / 12.92, power)
+
+
+def srgb_encode(light: CodeValues) -> CodeValues:
+    """Code values of linear light, any shape; the light 0.5 is the code 0.735357."""
+    power = 1.055 * np.maximum(light, _KNEE_LIGHT) ** (1.0 / 2.4) - 0.055
+    return np.where(light <= _KNEE_LIGHT, light * 12.92, power)
+
+
+def srgb_picture(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Code values of linear light, both in [0, 1] by clipping, in float32."""
+    # float32 is within 2e-7, and thirty times as fast as float64.
+    clipped = np.clip(linear, 0.0, 1.0).astype(np.float32, copy=False)
+    return srgb_encode(clipped)
+
+
+def srgb_decode_tensor(code: Tensor) -> Tensor:
+    """srgb_decode for PyTorch; its gradient is finite everywhere."""
+    power = ((code.clamp_min(_KNEE_CODE) + 0.055) / 1.055).pow(2.4)
+    return (code / 12.92).where(code <= _KNEE_CODE, power)
+
+
+def srgb_encode_tensor(light: Tensor) -> Tensor:
+    """srgb_encode for PyTorch; its gradient is finite everywhere."""
+    power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055
+    return (12.92 * light).where(light <= _KNEE_LIGHT, power)
+
+
+def srgb_slope(light: CodeValues) -> CodeValues:
+    """Derivative of the code by light, any shape: 12.92 near black, 0.439583 at light 1."""
+    power = np.maximum(light, _KNEE_LIGHT) ** light.dtype.type(1.0 / 2.4 - 1.0)
+    return np.where(light <= _KNEE_LIGHT, light.dtype.type(12.92), power * (1.055 / 2.4))
+
+
+# Colour spaces of files: transfer functions and matrices from code values to linear Rec.709.
+#
+# A file states its colour space by an ICC profile (stated_color.py), by code points (ITU-T H.273:
+# cICP in
+# PNG, nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
+# ColorSpace. The sRGB curve is in color.py, primaries are in color.py.
+#
+# Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2
+# for PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
+
 
 Values = NDArray[np.float64]
 Curve = Callable[[Values], Values]

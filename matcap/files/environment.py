@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.note import note
-from matcap.files.pixels import linear_colours, read_pixels
-from matcap.files.values import BRIGHTEST
+from matcap.files.names import note
+from matcap.files.pixels import (
+    linear_colours,
+    read_pixels,
+)
+from matcap.files.settings import BRIGHTEST
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"
 _CUBE = "CubeFace Environment"

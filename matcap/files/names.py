@@ -1,17 +1,24 @@
-"""Validation of file names from untrusted files, and numbered series of names.
-
-A name is validated where it is read (plain_name), or turned into a valid one (sanitised_name), and
-checked again when a file is written (StagedFolder).
-"""
+"""Names of files and UDIM tiles, JSON documents, digests, notes and progress."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 import unicodedata
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PosixPath
+from typing import Any
 
 from matcap.errors import MatcapError, UsageError
+
+# Validation of file names from untrusted files, and numbered series of names.
+#
+# A name is validated where it is read (plain_name), or turned into a valid one (sanitised_name),
+# and checked again when a file is written (StagedFolder).
+
 
 LONGEST = 200  # bytes, which leaves room for suffixes
 _HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode categories of invisible characters
@@ -137,3 +144,120 @@ class StagedFolder(PosixPath):
                 remedy="give the files another name",
             )
         return super().__truediv__(text)
+
+
+# UDIM texture sets: tiles numbered 1001 + column + 10 row from the bottom left.
+
+
+TOKEN = "<UDIM>"  # stands for a tile's number in file names
+_COLUMNS, _ROWS = 10, 900
+
+
+def tile_number(column: int, row: int) -> int:
+    """Number of a tile; (0, 0) is the bottom left one, 1001."""
+    return 1001 + column + 10 * row
+
+
+def tile_names(name: str, grid: tuple[int, int] | None) -> list[str]:
+    """File names of a texture of (columns, rows) tiles, from the bottom row; None is one tile."""
+    columns, rows = grid or (1, 1)
+    numbers = [tile_number(column, row) for row in range(rows) for column in range(columns)]
+    return [name.replace(TOKEN, str(number)) for number in numbers]
+
+
+def check_grid(columns: int, rows: int, where: str = "") -> None:
+    """Raise UsageError for a texture set of too many tiles, or none; it names `where`."""
+    if not (1 <= columns <= _COLUMNS and 1 <= rows <= _ROWS):
+        raise UsageError.at(
+            where,
+            f"a texture set cannot have {columns}x{rows} tiles",
+            f"ask for at most {_COLUMNS} columns and {_ROWS} rows",
+        )
+
+
+# Reads JSON documents, which may be missing, damaged or another program's.
+
+
+def read_document(file: Path, form: str = "") -> dict[str, Any] | None:
+    """The JSON object of a file; None if it cannot be read, or its `format` is not `form`."""
+    try:
+        document = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    known = isinstance(document, dict) and form in ("", document.get("format"))
+    return document if known else None
+
+
+# Digest check of safetensors files, without PyTorch.
+#
+# Read next: tensors.py, which writes the digest.
+
+
+DIGEST, METHOD = "digest", "sha256"  # name of the metadata's entry, and the hash function
+_AT_ONCE = 1 << 18  # bytes read at once, which fit a processor's caches
+
+
+def digest_prefix(metadata: Mapping[str, str]) -> bytes:
+    """The metadata's bytes, which the digest covers before the tensors' bytes."""
+    entries = sorted((name, text) for name, text in metadata.items() if name != DIGEST)
+    return "\0".join(part for entry in entries for part in entry).encode()
+
+
+def digest_matches(path: Path, metadata: Mapping[str, str]) -> bool:
+    """Whether a valid safetensors file has the digest in its metadata; False if there is none.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    if DIGEST not in metadata:
+        return False
+    digest = hashlib.new(METHOD, digest_prefix(metadata))
+    with path.open("rb", buffering=0) as file:
+        file.seek(int.from_bytes(file.read(8), "little"), 1)
+        some = memoryview(bytearray(_AT_ONCE))
+        while count := file.readinto(some):
+            digest.update(some[:count])
+    return digest.hexdigest() == metadata[DIGEST]
+
+
+# Notes to the user that are not errors, issued as warnings.
+
+
+class Note(UserWarning):
+    """A note to the user, which the command line prints."""
+
+
+def note(sentence: str) -> None:
+    """Issue a note; Python shows the same sentence once a process."""
+    warnings.warn(sentence, Note, stacklevel=3)
+
+
+# The generator mark that every file written by matcap carries.
+
+
+MAKER_VERSION = "0.1.0"  # of matcap
+MAKER = f"matcap {MAKER_VERSION}"
+
+
+# Progress reports of long-running work, passed to a callback.
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of long-running work."""
+
+    stage: str
+    """Name of the present stage."""
+    fraction: float
+    """Share of the work done, in [0, 1]."""
+    seconds: float = 0.0
+    """Since the start; 0 if not measured."""
+    seconds_left: float | None = None
+    """Expected remaining time, or None if unknown."""
+
+
+OnProgress = Callable[[Progress], None]
+
+
+def ignore_progress(now: Progress) -> None:
+    """Callback that does nothing."""

@@ -1,14 +1,12 @@
-"""Reads the stored values of images: EXR, TIFF, PNG, JPEG, TGA, BMP, WebP, Radiance HDR.
-
-Values are not converted, and alpha is not premultiplied. Pillow decodes JPEG, because it reports
-truncated files; OpenImageIO decodes the rest. linear_colours() converts by the file's colour space
-(stated_color.py). Photographs are read strip by strip in matcap/photo.
-"""
+"""Reads the stored values of images and masks, and writes pictures: PNG, or EXR by suffix."""
 
 from __future__ import annotations
 
+import io
+import struct
 import tempfile
 import warnings
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +16,103 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import LINEAR
-from matcap.files.exr import forget_error, refuse_deep, stated_primaries
-from matcap.files.icc import lineariser_of
-from matcap.files.jpeg_coding import unsupported_jpeg
-from matcap.files.quiet import quiet_decoders
-from matcap.files.radiance import MAGIC, radiance_header
-from matcap.files.rec709 import rec709_from
-from matcap.files.stated_color import stated_color
+from matcap.files.color import LINEAR, LUMINANCE, rec709_from, srgb_picture
+from matcap.files.exr import (
+    MAGIC,
+    forget_error,
+    radiance_header,
+    refuse_deep,
+    stated_primaries,
+    write_exr,
+)
+from matcap.files.names import check_suffix
+from matcap.files.output import Output
+from matcap.files.process import quiet_decoders
+from matcap.files.stated_color import lineariser_of, stated_color
+
+# Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
+
+
+_LOSSLESS_OR_HIERARCHICAL = (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF)
+
+
+def unsupported_jpeg(path: Path) -> str:
+    """The coding mode, such as "JPEG of 12 bits", if it is not supported; else ""."""
+    with path.open("rb") as file:
+        file.seek(2)
+        while len(marker := file.read(2)) == 2:
+            if marker[0] != 0xFF or marker[1] == 0xDA:
+                return ""
+            if marker[1] == 0xFF:  # a fill byte
+                file.seek(-1, 1)
+                continue
+            if marker[1] in range(0xC0, 0xD0) and marker[1] not in (0xC4, 0xC8, 0xCC):
+                bits = file.read(3)[-1:]
+                if marker[1] in _LOSSLESS_OR_HIERARCHICAL:
+                    return "lossless or hierarchical JPEG"
+                return f"JPEG of {bits[0]} bits" if bits and bits[0] != 8 else ""
+            length = int.from_bytes(file.read(2), "big")
+            file.seek(max(length - 2, 0), 1)
+    return ""
+
+
+# Writes PNG files of 8 and 16 bits; values are rounded, not truncated.
+
+
+PNG_HEADER = 33  # bytes: signature and IHDR
+
+
+def write_png(path: Path, coded: NDArray[np.float32], *, bits: int) -> None:
+    """Write code values (H, W, 3) or (H, W), clipped to [0, 1].
+
+    Encoded in memory first, so that a full disk raises OSError. Not atomic: write into a staged
+    folder.
+
+    Raises:
+        MatcapError: a value is not finite.
+        OSError: the file cannot be written.
+    """
+    if not np.isfinite(coded).all():
+        raise MatcapError("has values that are not finite", where=path.name)
+    path.write_bytes(png_bytes(quantised(coded, bits=bits)))
+
+
+def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Integer code values of finite values, clipped to [0, 1] and rounded; any shape."""
+    whole = np.rint(np.clip(coded, 0.0, 1.0) * (2.0**bits - 1.0))
+    return whole.astype(np.uint8) if bits == 8 else whole.astype(np.uint16)
+
+
+def png_bytes(whole: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+    """Encode (H, W, 4), (H, W, 3) or (H, W) code values as PNG."""
+    import cv2
+
+    _, encoded = cv2.imencode(".png", swap_red_blue(whole))
+    return encoded.tobytes()
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    """A chunk of a PNG file: length, type, data and checksum (PNG 3rd edition, 5.3)."""
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def swap_red_blue(whole: NDArray[Any]) -> NDArray[Any]:
+    """(H, W, 4), (H, W, 3) or (H, W) with red and blue exchanged, for OpenCV."""
+    import cv2
+
+    whole = np.ascontiguousarray(whole)
+    if whole.ndim == 2:
+        return whole
+    conversion = cv2.COLOR_RGB2BGR if whole.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
+    return np.asarray(cv2.cvtColor(whole, conversion))
+
+
+# Reads the stored values of images: EXR, TIFF, PNG, JPEG, TGA, BMP, WebP, Radiance HDR.
+#
+# Values are not converted, and alpha is not premultiplied. Pillow decodes JPEG, because it reports
+# truncated files; OpenImageIO decodes the rest. linear_colours() converts by the file's colour
+# space (stated_color.py). Photographs are read strip by strip in matcap/photo.
+
 
 MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
 _RGB = {"R": 0, "G": 1, "B": 2}
@@ -330,3 +417,82 @@ def linear_colours(
         return colours, ()
     turned = colours @ matrix.T.astype(np.float32)
     return turned, ("Colours converted from the file's primaries to Rec.709.",)
+
+
+# Writes an image to a file: linear EXR or sRGB PNG, by suffix.
+
+
+SUFFIXES = (".exr", ".png")
+
+
+def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> bytes:
+    """A JPEG of a linear Rec.709 picture (H, W, 3), encoded by Pillow with these options."""
+    from PIL import Image
+
+    stored = io.BytesIO()
+    codes = quantised(srgb_picture(linear), bits=8)
+    Image.fromarray(codes).save(stored, "JPEG", quality=quality, **options)
+    return stored.getvalue()
+
+
+def write_picture(image: NDArray[np.float32], path: Path) -> None:
+    """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit sRGB.
+
+    Raises:
+        UsageError: another suffix.
+        MatcapError: values that are not finite, or the file cannot be written.
+    """
+    check_suffix(path, SUFFIXES, "picture")
+    with Output.file(path) as file:
+        if path.suffix.lower() == ".exr":
+            write_exr(file, image, half=False)
+        else:
+            write_png(file, srgb_picture(image), bits=8)
+
+
+# Reads masks from images, as grey or as transparency.
+
+
+_STEP = 1.5 / 255.0  # code values that differ by less count as equal
+
+
+def read_mask(path: Path) -> NDArray[np.float32]:
+    """(H, W) mask in [0, 1] of an image.
+
+    An opaque image's mask is its luma, in code values. A transparent image of a single colour, even
+    black, or of colours, has its alpha as the mask; one of greys has luma times alpha.
+
+    Raises:
+        MatcapError: missing, not an image, wholly transparent, or floats outside [0, 1].
+    """
+    pixels = read_pixels(path)
+    red, green, blue = (
+        pixels.channel(role if role in pixels.roles else "R") for role in ("R", "G", "B")
+    )
+    grey = (
+        red
+        if pixels.grey
+        else sum(
+            np.float32(weight) * plane
+            for weight, plane in zip(LUMINANCE, (red, green, blue), strict=True)
+        )
+    )
+    grey = np.asarray(grey, np.float32)
+    if not pixels.whole and not 0.0 <= float(grey.min()) <= float(grey.max()) <= 1.0:
+        raise MatcapError.at(
+            path,
+            f"has values from {grey.min():.3g} to {grey.max():.3g}, not from 0 to 1",
+            "save it as a PNG of 8 or 16 bits",
+        )
+    if "A" not in pixels.roles:
+        return grey
+    alpha = np.clip(pixels.channel("A"), 0.0, 1.0)
+    seen = alpha > 0.0
+    if not seen.any():
+        raise MatcapError.at(path, "all of it is transparent", "save it without transparency")
+    if float(alpha.min()) >= 1.0 - 1e-6:
+        return grey
+    spread = np.maximum(np.abs(red - green), np.abs(green - blue))[seen]
+    if float(np.ptp(grey[seen])) < _STEP or float(spread.mean()) > _STEP:
+        return alpha
+    return grey * alpha

@@ -15,11 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.border import border_crop
 from matcap.photo.checks import CHECKS, Finding, Rating
 from matcap.photo.hdr_gain_map import NAME as GAIN_MAP
+from matcap.photo.left_out import (
+    area_averaged,
+    border_crop,
+    cell_means,
+)
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged, cell_means
 
 Values = NDArray[np.float64]
 

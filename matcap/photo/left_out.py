@@ -1,25 +1,161 @@
-"""Leaves out parts of a photograph: outside a crop, black in a mask, or transparent.
-
-The photograph keeps its size, so that its centre stays on the optical axis. Pixels that are left
-out are not used in measurements. For filters and networks they are replaced by mirrored pixels.
-"""
+"""Parts of a photograph that are left out: crop, mask, transparency, border; area downsampling."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.mask import read_mask
-from matcap.files.values import Rectangle
-from matcap.photo.orient import quarter_turn
-from matcap.photo.photo import Photo
-from matcap.photo.refusals import SHORTEST_SIDE
-from matcap.photo.shrink import area_averaged
+from matcap.files.pixels import read_mask
+from matcap.files.settings import Rectangle
+from matcap.photo.exif import quarter_turn
+from matcap.photo.photo import SHORTEST_SIDE, Photo
+
+# Area downsampling of linear pixels, strip by strip, without a full-size float copy.
+
+
+Rows = tuple[NDArray[np.float32], NDArray[np.bool_]]
+ReadRows = Callable[[int, int], Rows]
+
+CLIPPED_SHARE = 0.25  # clipped share of its area from which on a downsampled pixel is clipped
+_STRIP_PIXELS = 1 << 20  # pixels of a strip
+
+
+def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Rows:
+    """Downsample a picture by area averages; never upsample.
+
+    Args:
+        read: (first row, row after the last) -> linear pixels (n, W, 3) and clip mask (n, W).
+        width, height: of the whole picture.
+        long_side: of the result, pixels; None is the picture's own.
+
+    Returns:
+        pixels (h, w, 3) float32 and mask (h, w).
+    """
+    new_width, new_height = shrunk_size(width, height, long_side)
+    step = max(1, _STRIP_PIXELS // width)
+    strips = [(top, min(top + step, height)) for top in range(0, height, step)]
+    if (new_width, new_height) == (width, height):
+        pixels = np.empty((height, width, 3), np.float32)
+        clipped = np.empty((height, width), np.bool_)
+        for top, bottom in strips:
+            pixels[top:bottom], clipped[top:bottom] = read(top, bottom)
+        return pixels, clipped
+    # Along rows first, strip by strip, so that the intermediate result is small.
+    narrow = np.empty((height, new_width, 3), np.float32)
+    narrow_mask = np.empty((height, new_width), np.float32)
+    for top, bottom in strips:
+        strip, mask = read(top, bottom)
+        narrow[top:bottom] = area_averaged(strip, (new_width, bottom - top))
+        narrow_mask[top:bottom] = area_averaged(mask.astype(np.float32), (new_width, bottom - top))
+    share = area_averaged(narrow_mask, (new_width, new_height))
+    # With a tolerance for rounding, so that exactly CLIPPED_SHARE counts.
+    return area_averaged(narrow, (new_width, new_height)), share >= CLIPPED_SHARE - 1e-5
+
+
+def shrunk_size(width: int, height: int, long_side: int | None) -> tuple[int, int]:
+    """(width, height) scaled to a long side of at most long_side."""
+    longest = max(width, height)
+    if long_side is None or long_side >= longest:
+        return width, height
+    return max(1, round(width * long_side / longest)), max(1, round(height * long_side / longest))
+
+
+def area_averaged(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[np.float32]:
+    """A picture (H, W) or (H, W, C) shrunk to (width, height) by means over areas."""
+    import cv2
+
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def cell_means(
+    picture: NDArray[np.float32], columns: int, least_rows: int = 1
+) -> NDArray[np.float32]:
+    """Means of a picture (H, W) or (H, W, C) over about square cells, so many across."""
+    height, width = picture.shape[:2]
+    return area_averaged(picture, (columns, max(least_rows, round(columns * height / width))))
+
+
+# Detects a border that is not the material, such as a table's edge or another sheet.
+#
+# The photograph is averaged to cells; each line of cells along a side is reduced to the medians of
+# two log hues and log brightness. A border begins at a step between lines that is larger than those
+# in the middle, if all lines beyond it differ from those before it. The gradual falloff of a flash
+# has no such step.
+
+
+Values = NDArray[np.float64]
+
+# Thresholds of a border.
+_CELLS = 64  # along the long side; a step is one or two cells wide
+_LEAST_STEP = (0.15, 0.15, 0.35)  # least step of the two log hues and log brightness
+_UNLIKE = 4.0  # least ratio of a step to the 0.9 quantile of those in the middle
+_KEPT = 0.6  # share of that limit by which all lines beyond must differ
+_BEFORE = 4  # number of lines that they are compared with
+_MOST = 0.3  # largest share of a side to crop at each end
+_DARK = 0.15  # added inside logarithms, as a share of the median
+
+
+def border_crop(photo: Photo) -> Rectangle | None:
+    """The crop that removes borders, in pixels of the file's upright picture; None without any."""
+    cells = _cells(photo.pixels)
+    rows, columns = cells.shape[1:]
+    ends = [_cut(cells.transpose(0, 2, 1)), _cut(cells.transpose(0, 2, 1)[:, ::-1])]
+    ends += [_cut(cells), _cut(cells[:, ::-1])]
+    if not any(ends):
+        return None
+    left, right, top, bottom = ends
+    # Shares of the landscape picture, rotated back for portraits.
+    box = (left / columns, 1.0 - right / columns, top / rows, 1.0 - bottom / rows)
+    if photo.turned:
+        box = (1.0 - box[3], 1.0 - box[2], box[0], box[1])
+    width, height = photo.original_size
+    x, y = round(box[0] * width), round(box[2] * height)
+    return Rectangle(x, y, round(box[1] * width) - x, round(box[3] * height) - y)
+
+
+def _cells(pixels: NDArray[np.float32]) -> Values:
+    """(3, rows, columns) cells: log(R / G), log(B / G), mean log radiance."""
+    height, width = pixels.shape[:2]
+    columns = min(_CELLS, width)
+    rows = max(8, round(columns * height / width))
+    small = area_averaged(pixels, (columns, rows)).astype(np.float64)
+    log = np.log(small + _DARK * float(np.median(small)) + 1e-9)
+    return np.stack([log[..., 0] - log[..., 1], log[..., 2] - log[..., 1], log.mean(axis=-1)])
+
+
+def _cut(cells: Values) -> int:
+    """Number of first lines of cells (3, lines, along) that are a border."""
+    _, count, along = cells.shape
+    lines = np.median(cells[:, :, along // 8 : along - along // 8], axis=2)
+    steps = np.abs(lines[:, 2:] - lines[:, :-2])  # across line k + 1
+    usual = np.quantile(steps[:, count // 4 : count - count // 4], 0.9, axis=1)
+    limit = np.maximum(_LEAST_STEP, _UNLIKE * usual)[:, None]
+    most = int(_MOST * count)
+    over = (steps[:, :most] / limit).max(axis=0)
+    for at in np.argsort(-over):
+        if over[at] <= 1.0:
+            break
+        plane = int(np.argmax(steps[:, at] / limit[:, 0]))
+        inside = lines[plane, at + 2 : at + 2 + _BEFORE]
+        beyond = lines[plane, : at + 1] - np.median(inside)
+        sign = np.sign(beyond[at])
+        if (sign * beyond > _KEPT * limit[plane, 0]).all():
+            return int(at) + 2
+    return 0
+
+
+# Leaves out parts of a photograph: outside a crop, black in a mask, or transparent.
+#
+# The photograph keeps its size, so that its centre stays on the optical axis. Pixels that are left
+# out are not used in measurements. For filters and networks they are replaced by mirrored pixels.
+
 
 _LEAST = 0.04  # least share of a photograph that must remain
 _GREY = 0.5  # mask value up to which pixels are left out

@@ -1,31 +1,302 @@
-"""Reads a photograph file of any supported format to a Photo."""
+"""Reads a photograph file of any supported format to a Photo: its format by the first bytes."""
 
 from __future__ import annotations
 
 import math
+import struct
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from enum import Enum
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.quiet import quiet_decoders
-from matcap.photo.dng import Corrections, read_corrections
-from matcap.photo.exif import Exif, phone_fov, read_exif
-from matcap.photo.floating import is_float_dng, read_exr_or_radiance, read_float_dng
-from matcap.photo.jxl import read_jxl
-from matcap.photo.kind import FileKind, file_kind
+from matcap.files.exr import MAGIC
+from matcap.files.process import quiet_decoders
+from matcap.photo.developed import read_heic, read_jpeg, read_webp_or_avif
+from matcap.photo.dng import Corrections, raw_page, read_corrections
+from matcap.photo.exif import Exif, phone_fov, quarter_turn, read_exif, upright
 from matcap.photo.left_out import leave_transparent_out
-from matcap.photo.lossless import read_png_or_tiff
-from matcap.photo.lossy import read_heic, read_jpeg, read_webp_or_avif
-from matcap.photo.orient import quarter_turn, upright
-from matcap.photo.photo import Decoded, Photo
+from matcap.photo.lossless import (
+    is_float_dng,
+    read_exr_or_radiance,
+    read_float_dng,
+    read_png_or_tiff,
+)
+from matcap.photo.photo import (
+    READABLE,
+    SHORTEST_SIDE,
+    Decoded,
+    Photo,
+    ToneCurve,
+    check_size,
+    decoding,
+    missing_extra,
+    unreadable,
+)
 from matcap.photo.raw import read_raw
-from matcap.photo.refusals import SHORTEST_SIDE
-from matcap.photo.tone import ToneCurve
+
+if TYPE_CHECKING:
+    from tifffile import TiffPage
+
+
+# Detects a photograph's format by its first bytes; by suffix only for RAW files that are TIFFs.
+
+
+class FileKind(Enum):
+    """Formats of photographs."""
+
+    RAW = "RAW"
+    DNG = "DNG"
+    JPEG = "JPEG"
+    PNG = "PNG"
+    TIFF = "TIFF"
+    HEIC = "HEIC"
+    AVIF = "AVIF"
+    WEBP = "WebP"
+    EXR = "EXR"
+    RADIANCE = "Radiance HDR"
+
+
+_EXR = b"\x76\x2f\x31\x01"
+_JPEG = b"\xff\xd8\xff"
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
+_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
+_AVIF_BRANDS = {b"avif", b"avis"}
+# Of RAW files other than DNG.
+RAW_SUFFIXES = frozenset(
+    f".{maker}"
+    for maker in (
+        *("3fr", "arw", "cr2", "cr3", "crw", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef"),
+        *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf"),
+        *("srw", "x3f"),
+    )
+)
+_DNG_VERSION = 50706  # a TIFF tag
+_HEAD = 64  # first bytes that are read
+
+
+def file_kind(path: Path) -> FileKind:
+    """Detect a file's format.
+
+    Raises:
+        MatcapError: the file is missing, not a file, empty, unreadable, or not a photograph.
+    """
+    head = _head(path)
+    if head.startswith(_JPEG):
+        return FileKind.JPEG
+    if head.startswith(_PNG):
+        return FileKind.PNG
+    if head.startswith(_EXR):
+        return FileKind.EXR
+    if head.startswith(MAGIC):
+        return FileKind.RADIANCE
+    if head[4:8] == b"ftyp":
+        brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
+        # AVIF first, as AVIF files may have HEIC's generic brands.
+        if brands & _AVIF_BRANDS:
+            return FileKind.AVIF
+        if brands & _HEIC_BRANDS:
+            return FileKind.HEIC
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return FileKind.WEBP
+    if head[4:12] == b"ftypcrx " or head.startswith(_RAW):
+        return FileKind.RAW
+    if head.startswith(_TIFF):
+        return _of_tiff(path)
+    raise MatcapError.at(path, f"this is not a photograph{_guess(head)}", READABLE)
+
+
+def _head(path: Path) -> bytes:
+    if path.is_dir():
+        raise MatcapError.at(path, "this is a directory", "give one photograph inside it")
+    try:
+        if path.exists() and not path.is_file():
+            raise MatcapError.at(path, "this is not a file", READABLE)
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError as error:
+        raise MatcapError.at(path, "there is no such file", "check the name") from error
+    except PermissionError as error:
+        raise MatcapError.at(path, "the file may not be read", "change its permissions") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise MatcapError.at(
+            path,
+            f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+            "check the disk and the name",
+        ) from error
+    if not head:
+        raise MatcapError.at(path, "the file is empty", "copy it from the camera again")
+    return head
+
+
+def _of_tiff(path: Path) -> FileKind:
+    """The format of a TIFF: DNG by its version tag, RAW by its suffix or by a raw picture."""
+    import tifffile
+
+    with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
+        if _DNG_VERSION in file.pages.first.tags:
+            return FileKind.DNG
+        if path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None:
+            return FileKind.RAW
+        return FileKind.TIFF
+
+
+# Other formats by their first bytes, for error messages.
+_KNOWN = {
+    b"GIF8": "a GIF", b"BM": "a BMP picture", b"8BPS": "a Photoshop document",
+    b"%PDF": "a PDF document",
+    b"\xff\x0a": "a JPEG XL picture", b"\0\0\0\x0cJXL ": "a JPEG XL picture",
+    b"\xff\x4f\xff\x51": "a JPEG 2000 picture", b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
+}  # fmt: skip
+
+
+def _guess(head: bytes) -> str:
+    """Part of a message that names the format by the first bytes, or ""."""
+    for begins, what in _KNOWN.items():
+        if head.startswith(begins):
+            return f" in a supported format but {what}"
+    if head[4:8] == b"ftyp":
+        return " but a video or another container"
+    if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
+        return " but a text file"
+    return ""
+
+
+# Decompresses DNGs in JPEG XL (newer ProRAW), which LibRaw cannot read, to temporary copies.
+#
+# tifffile decompresses the raw picture. The copy has it as one uncompressed strip, with all other
+# tags unchanged.
+
+
+_BITS, _COMPRESSION, _OFFSETS, _ROWS, _COUNTS, _WHITE = 258, 259, 273, 278, 279, 50717
+# Predictor, tiles, JPEG tables: tags of the compression, which are dropped.
+_OF_COMPRESSION = (317, 322, 323, 324, 325, 347)
+_SUB_IFDS, _NONE = 330, 1
+_SHORT, _LONG = 3, 4  # types of TIFF
+_ENTRY = 12  # bytes
+
+Read = TypeVar("Read")
+
+
+def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
+    """Read a JPEG-XL DNG by a function for uncompressed ones.
+
+    Raises:
+        MatcapError: imagecodecs, an extra, is not installed; the file is truncated, damaged or not
+            supported.
+    """
+    try:
+        import imagecodecs  # noqa: F401  (tifffile calls it)
+    except ImportError as error:
+        raise missing_extra(path, "a DNG compressed with JPEG XL", "jxl") from error
+    with plain_copy(path) as copy:
+        try:
+            return read(copy)
+        except MatcapError as error:
+            # Without the temporary path.
+            raise MatcapError.at(path, error.what, error.remedy) from error
+
+
+@contextmanager
+def plain_copy(path: Path) -> Iterator[Path]:
+    """Context of a temporary uncompressed copy of a DNG.
+
+    Raises:
+        MatcapError: truncated, damaged, or without a raw picture of integers in one or three
+            samples.
+    """
+    import tifffile
+
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "plain.dng"
+        with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
+            page = raw_page(file)
+            if page is None:
+                raise unreadable(path, "DNG")
+            check_size(path, page.imagewidth, page.imagelength)
+            samples = page.asarray()
+            if file.is_bigtiff or samples.dtype.kind != "u" or samples.shape[2:] not in ((), (3,)):
+                raise MatcapError.at(
+                    path,
+                    "the DNG holds neither a mosaic nor linear colours of whole numbers",
+                    "convert it with Adobe DNG Converter, without JPEG XL",
+                )
+            order = file.byteorder
+            with copy.open("wb") as out:
+                out.write(_patched(path.read_bytes(), file, page, samples, order))
+                samples.astype(f"{order}u2").tofile(out)
+        yield copy
+
+
+def _patched(
+    data: bytes,
+    file: Any,  # noqa: ANN401
+    page: TiffPage,
+    samples: NDArray[Any],
+    order: str,
+) -> bytearray:
+    """The file with a new directory for the raw picture, whose samples will be appended."""
+    entries = {
+        tag.code: data[tag.offset : tag.offset + _ENTRY]
+        for tag in page.tags
+        if tag.code not in _OF_COMPRESSION
+    }
+    planes = 1 if samples.ndim == 2 else 3
+    patched = bytearray(data + bytes(len(data) % 2))
+    bits_at = len(patched)
+    patched += struct.pack(f"{order}4H", 16, 16, 16, 0)
+    at = len(patched)
+    changed = {
+        _BITS: (_SHORT, planes, 16 if planes == 1 else bits_at),
+        _COMPRESSION: (_SHORT, 1, _NONE),
+        _ROWS: (_LONG, 1, samples.shape[0]),
+        _COUNTS: (_LONG, 1, 2 * samples.size),
+        _OFFSETS: (_LONG, 1, 0),
+    }
+    if _WHITE not in entries:
+        changed[_WHITE] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
+    size = 2 + _ENTRY * len(entries | changed) + 4
+    changed[_OFFSETS] = (_LONG, 1, at + size)
+    for code, (kind, count, value) in changed.items():
+        form = "HH" if kind == _SHORT and count == 1 else "I"
+        stored = struct.pack(f"{order}{form}", *((value, 0) if form == "HH" else (value,)))
+        entries[code] = struct.pack(f"{order}HHI", code, kind, count) + stored
+    patched += struct.pack(f"{order}H", len(entries))
+    patched += b"".join(entries[code] for code in sorted(entries)) + bytes(4)
+    pointer = _pointer(data, file, page, order)
+    patched[pointer : pointer + 4] = struct.pack(f"{order}I", at)
+    return patched
+
+
+def _pointer(data: bytes, file: Any, page: TiffPage, order: str) -> int:  # noqa: ANN401
+    """Position of the offset that points to a page's directory.
+
+    Raises:
+        ValueError: it is not in a known place.
+    """
+    places = [4]  # of the first page
+    for each in file.pages:
+        places.append(each.offset + 2 + _ENTRY * len(each.tags))
+        if _SUB_IFDS in each.tags:
+            tag = each.tags[_SUB_IFDS]
+            places += [tag.valueoffset + 4 * index for index in range(tag.count)]
+    for place in places:
+        if data[place : place + 4] == struct.pack(f"{order}I", page.offset):
+            return place
+    raise ValueError("a directory that nothing points to")
+
+
+# Reads a photograph file of any supported format to a Photo.
+
 
 _DARKEST = 1e-3  # linear; a picture whose maximum is less counts as black
 _MOST_CLIPPED = 0.95  # largest share of clipped pixels

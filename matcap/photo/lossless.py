@@ -1,13 +1,11 @@
-"""Reads PNG and TIFF of 8 and 16 bits, and TIFF in floating point, by OpenImageIO.
-
-Of a TIFF with several pages the largest picture is read, not thumbnails or masks. CMYK and CIELAB
-are refused, as OpenImageIO's conversion is not colorimetric.
-"""
+"""Reads PNG and TIFF, and floating-point photographs: EXR, Radiance HDR, TIFF, DNG."""
 
 from __future__ import annotations
 
+import importlib.util
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -18,12 +16,193 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.color import LINEAR, ColorSpace
 from matcap.files.exr import forget_error
+from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo.developed import Coded, decode, three_channels
+from matcap.photo.dng import Corrections, raw_page
 from matcap.photo.exif import Exif, read_exif
-from matcap.photo.floating import light
-from matcap.photo.photo import Decoded
-from matcap.photo.refusals import check_size, decoding, unreadable, unsupported
+from matcap.photo.photo import Decoded, check_size, decoding, missing_extra, unreadable, unsupported
+
+# Reads photographs in floating point: EXR and Radiance HDR, and the raw picture of a float DNG.
+#
+# Their numbers are light, and are kept: exposures of one scene stay comparable, and one hot pixel
+# changes no other. White is 1, a DNG's WhiteLevel, or what the user gives (`white`). Light above
+# white is measured up to the value that many pixels share as the largest of a channel (clip_level).
+
+
+# A largest value that so many pixels share, and so large a share of them, is where values clip.
+_SHARED, _SHARED_SHARE = 16, 1e-4
+_MOST_SHARED = 0.5  # share of all from which on it is a flat picture
+_EQUAL = 1e-4  # relative difference of values that count as equal
+_USUAL_MEDIANS = (1e-3, 2.0)  # median of a photograph in units of white; beyond, white is doubtful
+_LEVELS = ((50714, 0.0), (50717, 1.0))  # tags of BlackLevel and WhiteLevel, and their defaults
+_PATTERN, _ORIENTATION = 33422, 274  # tags
+_PLAIN, _RATIONALS = 1, (5, 10)  # a compression, and types of tags
+
+
+def read_exr_or_radiance(path: Path, long_side: int | None, white: float | None) -> Decoded:
+    """Read an EXR or Radiance HDR picture; `white` is the value of white, by default 1.
+
+    Raises:
+        MatcapError: truncated, damaged, too small, too large, without colours, or with NaN or
+            infinite values.
+    """
+    stored = read_pixels(path)
+    check_size(path, *stored.size)
+    colours, notes = linear_colours(stored)
+    return decode(
+        light(path, colours, white, notes, opacity=_opacity(stored)), long_side, str(path), 1
+    )
+
+
+def light(
+    path: Path,
+    pixels: NDArray[np.float32],
+    white: float | None,
+    notes: tuple[str, ...] = (),
+    color: StatedColor | None = None,
+    opacity: NDArray[np.float32] | None = None,
+) -> Coded:
+    """A floating-point picture (H, W, 3) as Coded, with its clip level.
+
+    Raises:
+        MatcapError: all of it is so dark that its unit cannot be white's.
+    """
+    finite = pixels if np.isfinite(pixels).all() else np.zeros((1, 1, 3), np.float32)
+    level = clip_level(finite, white or 1.0)
+    least, largest = float(finite.min()), float(finite.max())
+    if least < -1e-3 * max(largest, 1.0):
+        notes += (f"Values reach down to {least:.3g}: those below 0 are taken as 0.",)
+    middle = float(np.median(finite[::4, ::4].mean(axis=2))) / (white or 1.0)
+    if 0.0 < largest < 1e-3 * (white or 1.0):
+        raise MatcapError.at(
+            path,
+            f"its values reach {largest:.3g} only, and white is {white or 1.0:g}",
+            "give --white, the value that is white in it",
+        )
+    if not _USUAL_MEDIANS[0] < middle < _USUAL_MEDIANS[1]:
+        notes += (
+            f"Half of the picture is brighter than {middle:.3g} times white: "
+            "give --white, the value that is white in it.",
+        )
+    elif largest > (white or 1.0):
+        notes += (f"Light up to {largest / (white or 1.0):.3g} times white is in the file.",)
+    return Coded(
+        lambda top, bottom: pixels[top:bottom],
+        pixels.shape[1],
+        pixels.shape[0],
+        pixels.dtype,
+        color or StatedColor(space=LINEAR),
+        clip_at=level,
+        opacity=opacity,
+        notes=notes,
+        white=white or 1.0,
+    )
+
+
+def clip_level(pixels: NDArray[np.float32], white: float) -> float:
+    """Value at which channels (H, W, 3) clip: white if nothing exceeds it, infinite if unknown.
+
+    Above white, a channel clips at its largest value if many pixels share that; the least of the
+    channels' is taken.
+    """
+    if float(pixels.max()) <= white:
+        return white
+    levels = [math.inf]
+    for channel in range(3):
+        plane = pixels[..., channel]
+        most = float(plane.max())
+        shared = int(np.count_nonzero(plane >= most * (1.0 - _EQUAL)))
+        many = max(_SHARED, _SHARED_SHARE * plane.size)
+        if many <= shared <= _MOST_SHARED * plane.size:
+            levels.append(most * (1.0 - _EQUAL))
+    return min(levels)
+
+
+def _opacity(stored: Pixels) -> NDArray[np.float32] | None:
+    return stored.channel("A") if "A" in stored.roles else None
+
+
+def is_float_dng(path: Path) -> bool:
+    """Whether a DNG's raw picture is in floating point."""
+    import tifffile
+
+    with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
+        page = raw_page(file)
+        return page is not None and int(page.sampleformat) == 3
+
+
+def read_float_dng(
+    path: Path, long_side: int | None, corrections: Corrections, white: float | None
+) -> tuple[Decoded, Exif]:
+    """Read a DNG whose raw picture is in floating point, as merged exposures are.
+
+    LibRaw scales such a picture by its maximum. A mosaic is averaged by 2 x 2. White balance,
+    colours and active area are the file's (dng.py).
+
+    Raises:
+        MatcapError: truncated, damaged, too small, with lens-shading maps, of another pattern than
+            2 x 2, or without a colour matrix.
+    """
+    import tifffile
+
+    color = corrections.color
+    if color is None or corrections.has_maps:
+        raise unsupported(path, "a float DNG without a colour matrix, or with gain maps")
+    with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
+        page: Any = raw_page(file)
+        check_size(path, page.imagewidth, page.imagelength)
+        if int(page.compression) != _PLAIN and importlib.util.find_spec("imagecodecs") is None:
+            raise missing_extra(path, "a compressed float DNG", "jxl")
+        samples = np.asarray(page.asarray(), np.float32)
+        black, level = (np.ravel(_value(page, tag, none)) for tag, none in _LEVELS)
+        pattern = bytes(_value(page, _PATTERN, b"")) if samples.ndim == 2 else None
+        orientation = int(_value(file.pages.first, _ORIENTATION, 1))
+    if corrections.active_area is not None:
+        top, left, bottom, right = corrections.active_area
+        samples = samples[top:bottom, left:right]
+    camera = samples[..., :3] if pattern is None else _binned(path, samples, pattern)
+    dark = float(np.mean(black))
+    camera = (camera - np.float32(dark)) / np.float32(float(np.min(level)) - dark)
+    space = ColorSpace("the camera", LINEAR.curves, color.matrix)
+    balanced = np.asarray(camera / np.array(color.neutral, np.float32), np.float32)
+    notes = (*corrections.notes, *((color.note,) if color.note else ()))
+    coded = light(path, balanced, white, notes, StatedColor(space=space))
+    size = samples.shape[1], samples.shape[0]
+    red, green, blue = (1.0 / channel for channel in color.neutral)
+    picture = decode(replace(coded, size=size), long_side, str(path), orientation)
+    return replace(picture, radiometric=True, balance=(red, green, blue)), read_exif(path)
+
+
+def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray[np.float32]:
+    """(H / 2, W / 2, 3) means of each colour over the 2 x 2 photosites of a mosaic."""
+    if sorted(pattern) != [0, 1, 1, 2]:
+        raise unsupported(path, "a float DNG whose mosaic is not of 2 x 2 photosites")
+    height, width = (side // 2 * 2 for side in samples.shape)
+    sites = [samples[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)]
+    planes = [
+        np.mean([s for s, of in zip(sites, pattern, strict=True) if of == c], axis=0)
+        for c in range(3)
+    ]
+    return np.stack(planes, axis=-1)
+
+
+def _value(page: Any, tag: int, none: Any) -> Any:  # noqa: ANN401
+    """Value of a tag of a page; a quotient for rationals."""
+    if tag not in page.tags:
+        return none
+    entry = page.tags[tag]
+    if int(entry.dtype) in _RATIONALS:
+        pairs = np.ravel(entry.value).astype(np.float64).reshape(-1, 2)
+        return pairs[:, 0] / pairs[:, 1]
+    return entry.value
+
+
+# Reads PNG and TIFF of 8 and 16 bits, and TIFF in floating point, by OpenImageIO.
+#
+# Of a TIFF with several pages the largest picture is read, not thumbnails or masks. CMYK and CIELAB
+# are refused, as OpenImageIO's conversion is not colorimetric.
+
 
 # TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
 _GREYS, _MASK = (0, 1), 4
@@ -53,7 +232,7 @@ class _Page:
 def read_png_or_tiff(
     path: Path, form: str, long_side: int | None, white: float | None = None
 ) -> tuple[Decoded, Exif]:
-    """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (floating.py).
+    """Read a PNG or TIFF of 8 or 16 bits, or a TIFF in floating point (lossless.py).
 
     Args:
         form: "PNG" or "TIFF".

@@ -1,14 +1,166 @@
-"""Photo: linear pixels, clipping mask and metadata of a photograph file; Decoded, before checks."""
+"""Photo: linear pixels, clipping mask, tone curve and metadata of a photograph; errors of
+reading.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.tone import Development, ToneCurve
+from matcap.errors import MatcapError
+from matcap.files.settings import bounded
+
+# The tone curve of a developed picture, which comes before the colour space's own curve.
+#
+# g(x) = x^c / (1 - w + w x^c),    g(0) = 0,  g(1) = 1,
+#
+# with x light over the clip level: contrast by the exponent c, a shoulder by w. It is one curve for
+# all channels. c is fitted with the photograph's light (flash/coarse); w hardly shows in one and
+# is held at a phone's.
+
+
+SHOULDER = 0.27  # w of a developed picture; fitted as well, it hardly moves (docs/notes/gloss.md)
+
+
+@dataclass(frozen=True)
+class Development:
+    """Prior of a developed picture's tone curve, by default that of a phone's JPEG."""
+
+    log_exponent: float = 0.12
+    """Mean of log c."""
+    deviation: float = 0.08
+    """Standard deviation of log c."""
+    shoulder: float = SHOULDER
+    """w, held."""
+
+
+# Base and HDR gain map together: the shoulder is undone, and dark tones are as in the base, which
+# has nearly no gain there.
+WITH_GAIN_MAP = Development(0.04, 0.05, 0.0)
+
+
+@dataclass(frozen=True)
+class ToneCurve:
+    """g with its two numbers; by default the identity."""
+
+    exponent: float = 1.0
+    """Exponent c, above 0."""
+    shoulder: float = 0.0
+    """Weight w of the shoulder, in [0, 1)."""
+
+    @staticmethod
+    def of_report(report: dict[str, Any]) -> ToneCurve:
+        """Tone curve of a capture's photograph by report.json; the identity without one."""
+        try:
+            stated = report["camera"]["tone_curve"]
+            return ToneCurve(
+                bounded(stated["exponent"], "exponent", 0.1, 10.0),
+                bounded(stated["shoulder"], "shoulder", 0.0, 0.99),
+            )
+        except (KeyError, TypeError, ValueError):
+            return ToneCurve()
+
+    def developed(self, light: NDArray[Any]) -> NDArray[Any]:
+        """Light at least 0 through the curve, any shape; beyond the clip level it stays beyond."""
+        if self == ToneCurve():
+            return light
+        power = np.power(light, self.exponent)
+        return np.asarray(power / (1.0 + self.shoulder * (power - 1.0)), light.dtype)
+
+    def linear(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """The inverse of developed() up to white; beyond it, below a shoulder, ratios are kept."""
+        if self == ToneCurve():
+            return picture
+        if self.shoulder == 0.0:
+            return np.asarray(np.power(picture, 1.0 / self.exponent), picture.dtype)
+        within = np.minimum(picture, 1.0)
+        power = within * (1.0 - self.shoulder) / (1.0 - self.shoulder * within)
+        light = np.power(power, 1.0 / self.exponent) * np.maximum(picture, 1.0)
+        return np.asarray(light, picture.dtype)
+
+
+# Errors of load_photo for files that it cannot use.
+
+
+SHORTEST_SIDE = 64  # pixels, least short side
+MOST_PIXELS = 260_000_000  # larger pictures are not opened; a header may claim any size
+
+READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF, WebP, EXR or HDR"
+# Words in decoders' errors for unsupported, rather than damaged, files.
+_UNSUPPORTED = ("unsupported", "not supported", "not implemented", "cannot handle", "no decoding")
+
+
+def check_size(path: Path, width: int, height: int) -> None:
+    """Refuse pictures that are too small for a texture, or too large.
+
+    Raises:
+        MatcapError: the short side is less than SHORTEST_SIDE, or there are more than MOST_PIXELS.
+    """
+    if min(width, height) < SHORTEST_SIDE:
+        raise MatcapError.at(
+            path,
+            f"the picture is {width} x {height} pixels, too small to hold a texture",
+            f"give one of at least {SHORTEST_SIDE} pixels on its short side",
+        )
+    if width * height > MOST_PIXELS:
+        raise MatcapError.at(
+            path,
+            f"the picture is {width} x {height} pixels, more than can be read",
+            f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
+        )
+
+
+@contextmanager
+def decoding(path: Path, form: str) -> Iterator[None]:
+    """Context that converts a decoder's exceptions on damaged files to MatcapError.
+
+    For calls of other libraries only, which may raise anything (struct.error, AssertionError, ...).
+    """
+    try:
+        yield
+    except MatcapError:
+        raise
+    except MemoryError as error:
+        raise MatcapError.at(
+            path,
+            f"there is not enough memory to read this {form}",
+            "free some memory or reduce the picture",
+        ) from error
+    except Exception as error:
+        if any(word in str(error).lower() for word in _UNSUPPORTED):
+            raise unsupported(path, f"how this {form} file is coded") from error
+        raise unreadable(path, form) from error
+
+
+def unreadable(path: Path, form: str) -> MatcapError:
+    """The error for a truncated or damaged file."""
+    return MatcapError.at(
+        path, f"the {form} file is truncated or damaged", "copy it from the camera again"
+    )
+
+
+def unsupported(path: Path, what: str) -> MatcapError:
+    """The error for a file whose coding is not supported."""
+    return MatcapError.at(
+        path, f"{what} is not supported", "export it as a JPEG, PNG or TIFF of 8 or 16 bits in RGB"
+    )
+
+
+def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
+    """The error for a format whose reader is not installed."""
+    return MatcapError.at(
+        path, f"{form} needs a package that is not installed", f'run: pip install "matcap[{extra}]"'
+    )
+
+
+# Photo: linear pixels, clipping mask and metadata of a photograph file; Decoded, before checks.
+
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
 

@@ -1,6 +1,6 @@
 """How much darker one photograph of a scene is than another, and the tone curve that both share.
 
-Of a pixel with light x in the first and k x in the second, with k < 1 and the curve g of tone.py,
+Of a pixel with light x in the first and k x in the second, with k < 1 and the curve g of photo.py,
 
     log u_w(g(x)) - log u_w(g(k x)) = -c log k,    u_w(y) = y (1 - w) / (1 - w y) = x^c,
 
@@ -18,7 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.tone import Development, ToneCurve
+from matcap.photo.photo import (
+    Development,
+    ToneCurve,
+)
 
 Values = NDArray[np.float64]
 

@@ -1,28 +1,105 @@
-"""A block of pixels shaded together: its inputs and its accumulated radiance.
-
-N is the number of pixels; arrays are (N,) float32 unless stated otherwise.
-"""
+"""Ray-surface hits, and a block of pixels shaded together."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from matcap.relight.camera import Array, Vec, View, add, dot, scale
 from matcap.relight.effects import multiscatter
-from matcap.relight.environment_map import Environment
-from matcap.relight.horizons import Horizons
-from matcap.relight.loops.library import KeptArrays
-from matcap.relight.loops.structures import CPixels
-from matcap.relight.plan import Budget, Plan
-from matcap.relight.relief import Relief
-from matcap.relight.sampling import Sampler, SurfaceSample, between
-from matcap.relight.scene import Scene
-from matcap.relight.surfaces.hits import Hits
-from matcap.relight.tables import albedo
-from matcap.relight.tally import Tally
-from matcap.relight.vectors import Array, dot
+from matcap.relight.environment_map import Environment, albedo
+from matcap.relight.loops.library import CPixels, KeptArrays
+from matcap.relight.plan import Budget, Plan, Tally, VisibleRegion
+from matcap.relight.relief import Horizons, Relief
+from matcap.relight.scene import Film, Scene
+from matcap.relight.texture import Sampler, SurfaceSample, between
+
+# Ray-surface intersections, and the interface of surfaces.
+
+
+TangentFrame = tuple[Vec, Vec, Vec]
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Intersections of a block of pixels; arrays broadcast to (rows, W)."""
+
+    point: Vec
+    """Position in the scene."""
+    frame: TangentFrame | None
+    """Tangent, bitangent and normal of the undisplaced surface, unit vectors of the scene; None on
+    the plane, where they are x, y and z."""
+    place: tuple[Array, Array]
+    """(u, v) on the material in plane units, (0, 0) in its middle."""
+    to_view: Vec
+    """Unit vector to the camera, in the material's frame."""
+    seen: Array | None
+    """(rows, W) False where the ray misses; None where all rays hit."""
+    footprint: Array
+    """Longer side of a pixel's footprint, in plane units."""
+
+    def flat(self, index: Array | None, shape: tuple[int, ...]) -> Hits:
+        """Flatten to (N,) arrays, row by row.
+
+        Args:
+            index: flat indices of the pixels to keep; None keeps all.
+            shape: (rows, W) of the block.
+        """
+
+        def every(array: Array) -> Array:
+            whole = np.broadcast_to(array, shape)
+            return whole.ravel() if index is None else whole.reshape(-1)[index]
+
+        def vector(one: Vec) -> Vec:
+            return every(one[0]), every(one[1]), every(one[2])
+
+        frame = self.frame and (vector(self.frame[0]), vector(self.frame[1]), vector(self.frame[2]))
+        place = (every(self.place[0]), every(self.place[1]))
+        footprint = every(self.footprint)
+        return Hits(vector(self.point), frame, place, vector(self.to_view), None, footprint)
+
+
+class Shape(ABC):
+    """A surface in the scene."""
+
+    @abstractmethod
+    def framed(self, film: Film) -> float:
+        """Span of the picture's long side at the origin that shows all of it, in plane units."""
+
+    def seen_by(self, view: View) -> Shape:
+        """This shape, prepared for a view: a mesh rasterises the face that each pixel sees."""
+        return self
+
+    @abstractmethod
+    def hits(self, view: View, top: int, bottom: int) -> Hits:
+        """Intersections of the rays of rows [top, bottom) of the picture."""
+
+    @abstractmethod
+    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
+        """Box around the visible points, and the largest side of a pixel's footprint."""
+
+
+def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:
+    """A vector of the scene in the tangent frame."""
+    if frame is None:
+        return vector
+    return dot(vector, frame[0]), dot(vector, frame[1]), dot(vector, frame[2])
+
+
+def to_scene(vector: Vec, frame: TangentFrame | None) -> Vec:
+    """A vector of the tangent frame in the scene."""
+    if frame is None:
+        return vector
+    x, y, z = (scale(axis, c) for axis, c in zip(frame, vector, strict=True))
+    return add(add(x, y), z)
+
+
+# A block of pixels shaded together: its inputs and its accumulated radiance.
+#
+# N is the number of pixels; arrays are (N,) float32 unless stated otherwise.
 
 
 @dataclass(frozen=True)
@@ -120,7 +197,7 @@ class Block:
 
     @cached_property
     def as_c(self) -> CPixels:
-        """The block as a C structure (loops/structures.py)."""
+        """The block as a C structure (loops/library.py)."""
         kept, hits, sample = KeptArrays(), self.hits, self.sample
 
         def vector(arrays: tuple[Array, ...] | list[Array]) -> tuple[int, ...]:

@@ -1,19 +1,35 @@
-"""The height field that displaces a surface: bilinear between texel centres."""
+"""The height field that displaces a surface, and its horizon maps [max1988]."""
 
 from __future__ import annotations
 
 import math
-from ctypes import byref, c_int64
+from collections.abc import Iterator, Sequence
+from ctypes import byref, c_int64, c_uint32
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from typing import Literal
 
 import numpy as np
 
-from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
-from matcap.relight.loops.structures import CField
+from matcap.relight.camera import Array
+from matcap.relight.loops.library import (
+    AZIMUTHS,
+    CHANNELS,
+    LANES,
+    CField,
+    CHorizon,
+    CWalk,
+    KeptArrays,
+    Pointer,
+    Whole,
+    address,
+    loops,
+)
 from matcap.relight.texture import Texture
-from matcap.relight.vectors import Array
+
+# The height field that displaces a surface: bilinear between texel centres.
+
 
 # Offset of shadow rays above the surface, over the relief's height range, against rounding.
 _LIFT = 2e-6
@@ -152,3 +168,207 @@ def _highest(field: Array, reach: int, mode: Literal["wrap", "edge"]) -> Array:
         wide = np.pad(field, around, mode=mode)
         field = np.asarray(cv2.dilate(wide, np.ones(kernel, np.uint8)))[tuple(cut)]
     return np.ascontiguousarray(field)
+
+
+# Horizon maps of a height field [max1988]: sky view factors, and transfer of one diffuse bounce.
+#
+# From each texel the height field is walked outwards along 16 azimuths, texel by texel up to eight,
+# then in steps that grow by a fifth. The largest tangent of elevation so far is the horizon. Where
+# a step raises it, the neighbour fills the strip of directions between old and new horizon; the
+# strip's cosine-weighted solid angle is integrated in closed form. A ridge thinner than a step may
+# be missed. Walks end at 256 texels, or where relief can hide less than 3 degrees.
+#
+# Texels are walked from on demand. Results depend on the material alone: they serve every light and
+# every later picture.
+
+
+_FARTHEST = 256  # texels
+_LOWEST = math.tan(math.radians(3.0))
+# Coarse transfer groups steps into ranges that end at these distances, in texels; the neighbour at
+# a range's geometric mean stands for all of it. COARSENESS is the error assumed of that, over the
+# largest transfer a texel may receive: measured in 24,000 texels of simulated leather, 99 % are
+# below 0.15 and the largest is 0.30; of an artist's bark 0.26 and 0.49. Seven ranges (0.12 and
+# 0.27, 0.25 and 0.49) take 4/3 of the time. Tests compare pictures with those of all effects.
+_PARTS = (1, 3, 8, 20)
+COARSENESS = 0.22
+# (AZIMUTHS, 2) unit vectors, x right and y up: azimuth 0 is along x, turning towards y.
+_AZIMUTH_VECTORS = np.array(
+    [
+        (math.cos(2.0 * math.pi * one / AZIMUTHS), math.sin(2.0 * math.pi * one / AZIMUTHS))
+        for one in range(AZIMUTHS)
+    ]
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _WalkState:
+    """Walks of one precision: their parameters, which texels are done, and the results."""
+
+    walk: CWalk
+    """Parameters for the loops."""
+    walked: Array
+    """(H W,) uint8, 1 at the first texel of each group of LANES that is done."""
+    transfer: Array | None
+    """(H W, CHANNELS): for each colour the vector t with which neighbours, lit by irradiance e
+    from direction l and none facing away from it, send the texel irradiance t . (e l); or None."""
+
+
+class Horizons:
+    """Horizon maps of a relief, computed on demand.
+
+    Attributes:
+        tangents: (H W, AZIMUTHS) tangent of the horizon's elevation.
+        open: (H W, 2) sky view factor: irradiance of a uniform environment over that without
+            relief but the same normal, [0, 1]; and cosine-weighted share of directions that meet
+            relief, which times the largest albedo bounds the length of transfer vectors.
+    """
+
+    def __init__(self, relief: Relief) -> None:
+        self.relief = relief
+        size = len(relief.heights)
+        # np.empty: pages that are never written take no memory.
+        self.tangents: Array = np.empty((size, AZIMUTHS), dtype=np.float32)
+        self.open: Array = np.empty((size, 2), dtype=np.float32)
+        self._marks = np.zeros(size, dtype=np.uint32)
+        self._calls: Iterator[int] = count(1)
+
+    def compute(self, column: Array, row: Array) -> None:
+        """Fill `tangents` and `open` of the four texels around each place, in texels."""
+        self._walk(self._plain, column, row, None)
+
+    def transfer(self, column: Array, row: Array, which: Array | None, *, fine: bool) -> Array:
+        """(H W, CHANNELS) transfer vectors, filled around places; fills what compute() does, too.
+
+        Args:
+            column, row: places, in texels.
+            which: int32 indices of the places to fill around; None is all.
+            fine: evaluate every step, or one neighbour for each range of _PARTS.
+        """
+        state = self._fine if fine else self._coarse
+        self._walk(state, column, row, which)
+        assert state.transfer is not None
+        return state.transfer
+
+    def as_c(self, *, adaptive: bool) -> CHorizon:
+        """The horizons as a C structure (loops/library.py)."""
+        width, height = self.relief.texture.size
+        return CHorizon(self.tangents.ctypes.data, width, height, int(adaptive))
+
+    def _walk(self, state: _WalkState, column: Array, row: Array, which: Array | None) -> None:
+        width, height = self.relief.texture.size
+        size = len(column) if which is None else len(which)
+        texels, kept = np.empty(4 * size, dtype=np.int32), KeptArrays()
+        some = None if which is None else kept.of(which, np.int32)
+        library = loops()
+        library.matcap_relight_unknown.restype = c_int64
+        unknown = library.matcap_relight_unknown(
+            Whole(width), Whole(height), address(state.walked), address(self._marks),
+            c_uint32(next(self._calls)), c_int64(size), Pointer(some), address(column),
+            address(row), address(texels),
+        )  # fmt: skip
+        if not unknown:
+            return
+        transfer = None if state.transfer is None else state.transfer.ctypes.data
+        library.matcap_relight_walk(
+            byref(state.walk), c_int64(unknown), address(texels),
+            address(self.tangents), address(self.open), Pointer(transfer),
+        )  # fmt: skip
+        state.walked[texels[:unknown]] = 1
+        if state is not self._plain:
+            self._plain.walked[texels[:unknown]] = 1
+
+    def prepare(self, *, coarse: bool, fine: bool) -> None:
+        """Allocate what threads share, before they start."""
+        _ = self._plain, coarse and self._coarse, fine and self._fine
+
+    @cached_property
+    def _plain(self) -> _WalkState:
+        return self._state(self._parts, transfers=False)
+
+    @cached_property
+    def _coarse(self) -> _WalkState:
+        return self._state(self._parts, transfers=True)
+
+    @cached_property
+    def _fine(self) -> _WalkState:
+        return self._state([[step] for step in self._steps], transfers=True)
+
+    def _state(self, parts: Sequence[Sequence[int]], *, transfers: bool) -> _WalkState:
+        moves, kept = _moves(np.array([step for part in parts for step in part])), KeptArrays()
+        inverse = (1.0 / np.hypot(*moves)).astype(np.float32)
+        ends = np.cumsum([len(part) for part in parts])
+        nearest = [one.max() for one in np.split(inverse, ends[:-1], axis=1)]
+        middles = _moves(np.sqrt([float(part[0] * part[-1]) for part in parts]))
+        stride, size = self._padded.shape[1], len(self.open)
+        walk = CWalk(
+            kept.of(self._padded), kept.of(self._reflected) if transfers else None,
+            kept.of(_AZIMUTH_VECTORS[:, 0]), kept.of(_AZIMUTH_VECTORS[:, 1]),
+            kept.of(moves[1] * stride + moves[0], np.int32),
+            kept.of(middles[1] * stride + middles[0], np.int32), kept.of(inverse),
+            kept.of(ends, np.int32), kept.of(nearest), self._padded.size, int(ends[-1]), len(parts),
+            self.relief.texture.size[0], self._reach, stride, float(self._padded.max()),
+        )  # fmt: skip
+        transfer = np.empty((size, CHANNELS), dtype=np.float32) if transfers else None
+        return _WalkState(kept.kept_by(walk), np.zeros(size, dtype=np.uint8), transfer)
+
+    @cached_property
+    def _steps(self) -> list[int]:
+        relief = self.relief
+        return steps_of(float((relief.high - relief.low) / relief.texel_size))
+
+    @cached_property
+    def _parts(self) -> list[list[int]]:
+        """The steps of each range of coarse transfer."""
+        limits = (0, *_PARTS, max(self._reach, _PARTS[-1] + 1))
+        parts = [
+            [step for step in self._steps if low < step <= high]
+            for low, high in zip(limits, limits[1:], strict=False)
+        ]
+        return [part for part in parts if part]
+
+    @property
+    def _reach(self) -> int:
+        return max(self._steps)
+
+    @cached_property
+    def _padded(self) -> Array:
+        """(rows, columns) heights in texels, padded by `_reach`."""
+        return self._wrapped(self.relief.grid)
+
+    def _wrapped(self, field: Array) -> Array:
+        """A field padded by the longest step, and by a group of LANES on the right."""
+        around = ((self._reach, self._reach), (self._reach, self._reach + LANES))
+        return np.pad(field, around, mode=self.relief.around)
+
+    @cached_property
+    def _reflected(self) -> Array:
+        """(CHANNELS, rows, columns) albedo / pi times normal, times the width of an azimuth.
+
+        Its scalar product with (e l) is the radiance a texel sends under irradiance e from l.
+        """
+        wide = np.pad(self.relief.grid, 1, mode=self.relief.around)
+        x = 0.5 * (wide[1:-1, 2:] - wide[1:-1, :-2])
+        y = 0.5 * (wide[:-2, 1:-1] - wide[2:, 1:-1])
+        z = 1.0 / np.sqrt(1.0 + x * x + y * y)
+        factor = np.float32(2.0 / AZIMUTHS)  # 1 / pi times 2 pi / AZIMUTHS
+        transfer: Array = np.empty((CHANNELS, *self._padded.shape), dtype=np.float32)
+        for channel, albedo in enumerate(self.relief.texture.diffuse):
+            for axis, component in enumerate((-x * z, -y * z, z)):
+                transfer[3 * channel + axis] = self._wrapped(albedo * component * factor)
+        return transfer
+
+
+def steps_of(rise: float) -> list[int]:
+    """Distances of a walk's steps, in texels, for a field whose heights span `rise` texels."""
+    last = min(max(1, math.ceil(rise / _LOWEST)), _FARTHEST)
+    steps, step = [], 1
+    while step <= last:
+        steps.append(step)
+        step = max(step + 1, round(step * 1.2)) if step >= 8 else step + 1
+    return steps or [1]
+
+
+def _moves(reach: Array) -> tuple[Array, Array]:
+    """(AZIMUTHS, n) columns right and rows down of distances along each azimuth."""
+    c, s = _AZIMUTH_VECTORS.T[..., None]
+    return np.rint(c * reach).astype(np.int64), -np.rint(s * reach).astype(np.int64)

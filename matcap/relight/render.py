@@ -1,7 +1,8 @@
-"""Render maps in a scene: plan, then blocks of pixels in parallel."""
+"""Render maps in a scene: plan by bounds, then shade blocks of pixels in parallel."""
 
 from __future__ import annotations
 
+import difflib
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -13,36 +14,223 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.errors import MatcapError
-from matcap.files.memory import cores
-from matcap.relight.block import ShadingContext
-from matcap.relight.camera import View, view_of
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.errors import MatcapError, UsageError
+from matcap.files.color import srgb_decode
+from matcap.files.process import cores
+from matcap.relight.block import Block, Hits, ShadingContext, Shape
+from matcap.relight.camera import Array, View, view_of
+from matcap.relight.effects import area, direct, environment
+from matcap.relight.effects.entries import EFFECTS
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
-from matcap.relight.horizons import Horizons
-from matcap.relight.plan import Budget, Plan
-from matcap.relight.planning import EffectChoice, make_plan, parse_choice, radiance_tolerance
-from matcap.relight.relief import Relief
-from matcap.relight.sampling import Sampler
+from matcap.relight.plan import (
+    DEFAULT_TOLERANCE,
+    TILE,
+    Budget,
+    Plan,
+    SceneBounds,
+    Step,
+    Tally,
+    gather,
+)
+from matcap.relight.relief import Horizons, Relief
 from matcap.relight.scene import (
     EnvironmentLight,
     Film,
+    RectangleLight,
     Scene,
+    SphereLight,
     Surface,
     check_lights,
     scene_from_light,
     too_bright,
 )
-from matcap.relight.scene_bounds import gather
-from matcap.relight.shade import shade
-from matcap.relight.surfaces.hits import Shape
-from matcap.relight.surfaces.shape import shape_of
-from matcap.relight.tally import TILE, Tally
-from matcap.relight.texture import Texture
+from matcap.relight.surfaces import shape_of
+from matcap.relight.texture import Sampler, SurfaceSample, Texture
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+
+
+# Decide which effects run, from upper bounds on what leaving each out could change.
+#
+# Effects are left out in the order of their bounds, as long as these add up to no more than the
+# tolerance; the picture then differs by no more than that from one with all effects. The tolerance
+# is in code values of the film (default: half an 8-bit step). It becomes a radiance by its value on
+# the sRGB curve at 0: the curve is concave with f(0) = 0, so |f(a) - f(b)| <= f(|a - b|).
+
+
+@dataclass(frozen=True)
+class EffectChoice:
+    """The user's choice: a start ("auto", "all" or "none") and effects forced on or off."""
+
+    start: str = "auto"
+    forced: tuple[tuple[str, bool], ...] = ()
+
+
+def parse_choice(text: str) -> EffectChoice:
+    """Parse `--effects`: "all", "none", "+x,-y", or both: "none,+diffuse".
+
+    Raises:
+        UsageError: an unknown effect, or one without + or -.
+    """
+    start, forced = "auto", []
+    for index, part in enumerate(part.strip() for part in text.split(",")):
+        if index == 0 and part in ("auto", "all", "none"):
+            start = part
+            continue
+        sign, name = part[:1], part[1:]
+        if sign not in ("+", "-") or name not in EFFECTS:
+            near = difflib.get_close_matches(part.lstrip("+-"), EFFECTS, n=1, cutoff=0.0)[0]
+            raise UsageError.at(
+                "--effects",
+                f"'{part}' is not an effect to switch",
+                f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
+            )
+        forced.append((name, sign == "+"))
+    return EffectChoice(start, tuple(forced))
+
+
+def radiance_tolerance(tolerance: float, film: Film) -> float:
+    """Radiance whose code value, after exposure, is the tolerance."""
+    if film.transfer == "linear":
+        return tolerance / film.gain
+    return float(srgb_decode(np.array(tolerance))) / film.gain
+
+
+def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Plan:
+    """Choose the effects that run.
+
+    Args:
+        limits: extremes of the scene, from which each effect computes its bound.
+        tolerance: largest sum of the bounds of effects left out, in radiance.
+        choice: start, and effects that the user forced on or off.
+    """
+    bounds = {name: effect.bound(limits) for name, effect in EFFECTS.items()}
+    forced = dict(choice.forced)
+    off: set[str] = set()
+    if choice.start == "none":
+        off = set(EFFECTS)
+    elif choice.start == "auto":
+        left = tolerance
+        for effect in sorted(EFFECTS, key=lambda name: bounds[name].radiance):
+            if effect in forced:
+                continue
+            if bounds[effect].radiance > left:
+                break
+            left -= bounds[effect].radiance
+            off.add(effect)
+    steps = []
+    for effect, bound in bounds.items():
+        reason = bound.reason
+        if effect in forced:
+            reason = f"as asked for ({reason})"
+        elif choice.start != "auto":
+            reason = f"{choice.start} as asked for ({reason})"
+        on = forced.get(effect, effect not in off)
+        steps.append(
+            Step(
+                effect,
+                on,
+                bound.radiance,
+                reason,
+                spends=effect in off and effect not in forced and choice.start == "auto",
+            )
+        )
+    return Plan(tuple(steps), tolerance)
+
+
+# Radiance of a block of pixels: displace hits, look up the material, add lights, add effects.
+#
+# The loops of matcap.relight.loops do the work. With a budget an effect runs in the pixels whose
+# own bound exceeds it, without one in all.
+
+
+# Effects that run in every pixel if they run at all.
+_EVERYWHERE = ("diffuse", "specular", "falloff", "filtering", "parallax", "multiscatter")
+
+
+def shade(context: ShadingContext, hits: Hits, tiles: Array) -> Array:
+    """(3, rows, W) radiance of a block; 0 where rays miss the surface.
+
+    Args:
+        hits: intersections of the block's rays, (rows, W).
+        tiles: (rows, W) index of the picture's tile of each pixel.
+    """
+    index = None if hits.seen is None else np.flatnonzero(hits.seen)
+    with np.errstate(over="ignore", invalid="ignore"):  # render.py names the light
+        block = _block(context, hits, index, tiles)
+        _light(block)
+    if index is None:
+        return block.total.reshape(3, *tiles.shape)
+    picture = np.zeros((3, tiles.size), dtype=np.float32)
+    picture[:, index] = block.total
+    return picture.reshape(3, *tiles.shape)
+
+
+def _block(context: ShadingContext, hits: Hits, index: Array | None, tiles: Array) -> Block:
+    """Hits on the displaced surface and the material there, of the pixels in `index`."""
+    plan, tally, sampler = context.plan, context.tally, context.sampler
+    flat = hits.flat(index, tiles.shape)
+    height: Array | None = None
+    for name, effect in EFFECTS.items():
+        if effect.move is not None and plan.on(name):
+            with tally.timed(name):
+                flat, height = effect.move(context.relief, flat)
+    if height is None and plan.on("shadows"):
+        height = context.relief.at(*flat.place)
+    with tally.timed("filtering" if plan.on("filtering") else "reading"):
+        if plan.on("filtering"):
+            sample = sampler.read(flat.place, flat.footprint)
+        elif index is None and height is None:
+            # Unflattened places let the sampler see that pixels are texels: no interpolation.
+            sample = _flattened(sampler.read(hits.place), tiles.shape)
+        else:
+            sample = sampler.read(flat.place)
+    tiles = tiles.ravel() if index is None else tiles.reshape(-1)[index]
+    return Block(context, flat, height, sample, tiles)
+
+
+def _flattened(sample: SurfaceSample, shape: tuple[int, ...]) -> SurfaceSample:
+    """The sample broadcast to a block, row by row."""
+
+    def every(array: Array) -> Array:
+        return np.broadcast_to(array, shape).ravel()
+
+    x, y, z = (every(one) for one in sample.normal)
+    return replace(
+        sample,
+        diffuse=tuple(every(one) for one in sample.diffuse),
+        specular=tuple(every(one) for one in sample.specular),
+        alpha=every(sample.alpha),
+        normal=(x, y, z),
+    )
+
+
+def _light(block: Block) -> None:
+    """Add every light, then the effects computed from their sum."""
+    context, plan = block.context, block.plan
+    for name in _EVERYWHERE:
+        if plan.on(name):
+            block.ran(name)
+    # Environments last: the budget allows more where a pixel is already bright.
+    for light in context.scene.lights:
+        if isinstance(light, SphereLight | RectangleLight) and plan.on("area"):
+            area.add(block, light)
+        elif not isinstance(light, EnvironmentLight):
+            direct.add(block, light)
+    for one in context.environments:
+        environment.add(block, one)
+    for name, effect in EFFECTS.items():
+        if effect.add is not None and plan.on(name):
+            with context.tally.timed(name):
+                effect.add(block)
+    if not block.facing.all():
+        block.total *= block.facing
+
+
+# Render maps in a scene: plan, then blocks of pixels in parallel.
+
 
 # Pixels shaded together: enough to make a block's fixed cost negligible.
 _BLOCK = 32768

@@ -1,17 +1,34 @@
-"""Maps of a material as the renderer reads them: channels first, float32, normals as slopes."""
+"""Maps as the renderer reads them, and lookups: bilinear, or in a mip pyramid [olano2010]."""
 
 from __future__ import annotations
 
+from ctypes import byref, c_int64
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from matcap.relight.vectors import Array
+from matcap.relight.camera import Array, Vec, unit3
+from matcap.relight.loops.library import (
+    DIFFUSE,
+    SPECULAR,
+    CLamp,
+    CPixels,
+    CTexels,
+    KeptArrays,
+    Pointer,
+    address,
+    loops,
+)
+from matcap.relight.scene import DirectionalLight
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+
+
+# Maps of a material as the renderer reads them: channels first, float32, normals as slopes.
+
 
 MIN_ROUGHNESS = 1e-3  # as matcap.brdf
 
@@ -66,7 +83,7 @@ class Texture:
             ValueError: the maps have batch dimensions.
             MatcapError: heights that single precision cannot hold (check_heights).
         """
-        from matcap.brdf.heights import check_heights
+        from matcap.brdf.maps import check_heights
 
         if maps.height.ndim != 3:
             raise ValueError("maps with batch dimensions cannot be rendered: pass one map set")
@@ -119,3 +136,223 @@ class Texture:
             steepest,
             float(height.max() - height.min()),
         )
+
+
+# Texture lookups: bilinear, or trilinear in a mip pyramid with slope variance [olano2010].
+
+
+# Distance from texel centres, in texels, within which lookups return the texels themselves.
+_ALIGNED = 1e-3
+
+
+@dataclass(frozen=True)
+class SurfaceSample:
+    """The material at a block of pixels, arrays of one shape."""
+
+    diffuse: tuple[Array, ...]
+    """Albedo, one array a colour channel."""
+    specular: tuple[Array, ...]
+    """F0, one array or one a colour channel."""
+    alpha: Array
+    """GGX alpha, with the variance of unresolved slopes where lookups are filtered."""
+    normal: Vec
+    """Unit shading normal in the material's frame."""
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """A texture on a surface, its middle at (0, 0)."""
+
+    texture: Texture
+    """Maps of the material."""
+    repeat: float
+    """Factor by which the material is shrunk on the surface."""
+    endless: bool = True
+    """Whether it repeats; else lookups are clamped to its border."""
+
+    def texels(self, place: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Columns and rows of places in plane units; texel centres are whole numbers."""
+        width, height = self.texture.size
+        step = self.repeat / self.texture.texel_size
+        column = place[0] * step + (width - 1) / 2.0
+        row = (height - 1) / 2.0 - place[1] * step
+        if self.endless:
+            return column, row
+        return np.clip(column, 0.0, width - 1.0), np.clip(row, 0.0, height - 1.0)
+
+    def covered(self, footprint: Array) -> Array:
+        """Sides of pixels' footprints, converted from plane units to texels."""
+        return footprint * np.float32(self.repeat / self.texture.texel_size)
+
+    def read(self, place: tuple[Array, Array], footprint: Array | None = None) -> SurfaceSample:
+        """Look up the material.
+
+        Args:
+            place: (u, v) on the surface, in plane units.
+            footprint: side of each pixel's footprint in plane units, for a trilinear lookup; None
+                is bilinear in the finest level.
+        """
+        column, row = self.texels(place)
+        if footprint is None:
+            aligned = self._aligned(column, row)
+            if aligned is not None:
+                return aligned
+            return self._unpacked(between(self._rows, self.texture.size, column, row))
+        wide = self.covered(footprint)
+        return self._unpacked(read(self._pyramid, column, row, wide))
+
+    def _aligned(self, column: Array, row: Array) -> SurfaceSample | None:
+        """Texels themselves, where places are a grid of adjacent texel centres; else None."""
+        if column.ndim != 2 or column.shape[0] != 1 or row.shape[1] != 1:
+            return None
+        first, top = round(float(column[0, 0])), round(float(row[0, 0]))
+        right, below = first + column.shape[1], top + row.shape[0]
+        width, height = self.texture.size
+        if first < 0 or top < 0 or right > width or below > height:
+            return None
+        off = max(
+            np.abs(column[0] - np.arange(first, right)).max(),
+            np.abs(row[:, 0] - np.arange(top, below)).max(),
+        )
+        if off > _ALIGNED:
+            return None
+        cut = (slice(None), slice(top, below), slice(first, right))
+        maps = self.texture
+        return SurfaceSample(
+            tuple(maps.diffuse[cut]),
+            tuple(maps.specular[cut]),
+            self._alpha[cut[1:]],
+            tuple(maps.normal[cut]),
+        )
+
+    def _unpacked(self, values: Array) -> SurfaceSample:
+        split = 3 + len(self.texture.specular)
+        squared, x, y, variance = values[split:]
+        z = 1.0 / np.sqrt(1.0 + x * x + y * y)
+        alpha = np.sqrt(np.minimum(squared + variance, np.float32(1.0)))
+        return SurfaceSample(tuple(values[:3]), tuple(values[3:split]), alpha, (-x * z, -y * z, z))
+
+    @cached_property
+    def _alpha(self) -> Array:
+        return alpha_of(self.texture.roughness[0])
+
+    @cached_property
+    def _rows(self) -> Array:
+        """(H W, C) texels: diffuse, specular, alpha^2, slopes x and y, slope variance (0)."""
+        maps = self.texture
+        none = np.zeros_like(self._alpha)[None]
+        squared = np.square(self._alpha)[None]
+        stack = np.concatenate([maps.diffuse, maps.specular, squared, maps.slopes, none])
+        return np.ascontiguousarray(stack.reshape(len(stack), -1).T)
+
+    @cached_property
+    def _pyramid(self) -> CTexels:
+        """All levels as a C structure.
+
+        Means, and as slope variance mean(s^2) - mean(s)^2, summed over x and y.
+        """
+        import cv2
+
+        width, height = self.texture.size
+        rows = self._rows
+        level = rows.reshape(height, width, -1)
+        square = (level[..., -3:-1] ** 2).sum(axis=-1)
+        levels, sizes = [rows], [(width, height)]
+        while max(width, height) > 1:
+            width, height = max(1, width // 2), max(1, height // 2)
+            level = np.dstack(
+                [
+                    cv2.resize(level[..., c], (width, height), interpolation=cv2.INTER_AREA)
+                    for c in range(level.shape[2])
+                ]
+            ).reshape(height, width, -1)
+            square = cv2.resize(square, (width, height), interpolation=cv2.INTER_AREA)
+            square = square.reshape(height, width)
+            mean = level[..., -3] ** 2 + level[..., -2] ** 2
+            level[..., -1] = np.maximum(square - mean, 0.0)
+            levels.append(level.reshape(width * height, -1))
+            sizes.append((width, height))
+        return _texels(np.concatenate(levels), sizes)
+
+
+def between(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Array:
+    """(C, ...) bilinear lookups in a repeating texture.
+
+    Args:
+        rows: (H W, C) texels, C at most 16.
+        size: (width, height) in texels.
+        column, row: places in texels; texel centres are whole numbers.
+    """
+    return read(_texels(rows, [size]), column, row, None)
+
+
+def read(texels: CTexels, column: Array, row: Array, wide: Array | None) -> Array:
+    """(C, ...) trilinear lookups in a repeating texture.
+
+    Args:
+        texels: mip pyramid, as a C structure.
+        column, row: places in texels of the finest level; texel centres are whole numbers.
+        wide: side of the footprint in texels; None is bilinear in the finest level.
+    """
+    shape = np.broadcast_shapes(column.shape, row.shape)
+    here = KeptArrays()
+    places = [Pointer(here.of(np.broadcast_to(c, shape), np.float64)) for c in (column, row)]
+    width = None if wide is None else here.of(np.broadcast_to(wide, shape))
+    looked_up = np.empty((texels.channels, *shape), dtype=np.float32)
+    loops().matcap_relight_read(
+        byref(texels), c_int64(looked_up[0].size), *places, Pointer(width), address(looked_up)
+    )
+    return looked_up
+
+
+def _texels(rows: Array, sizes: list[tuple[int, int]]) -> CTexels:
+    kept = KeptArrays()
+    starts = np.cumsum([0, *(width * height for width, height in sizes[:-1])])
+    widths, heights = np.array(sizes).T
+    texels = CTexels(
+        kept.of(rows), kept.of(starts, np.int64), kept.of(widths, np.int32),
+        kept.of(heights, np.int32), rows.shape[1], len(sizes),
+    )  # fmt: skip
+    return kept.kept_by(texels)
+
+
+# Radiance of texels, seen from straight above without perspective, under one distant light.
+#
+# The renderer's loop of direct light (loops/lights.c) on maps as they are: one pixel a texel,
+# without camera, plan and effects. For previews, where planning would take longer than rendering.
+
+
+def light_texels(
+    diffuse: Array, specular: Array, roughness: Array, normal: Array, light: DirectionalLight
+) -> Array:
+    """(3, H, W) radiance of maps, all float32 and channels first.
+
+    Args:
+        diffuse: (3, H, W) albedo.
+        specular: (1 or 3, H, W) F0.
+        roughness: (1, H, W) perceptual roughness.
+        normal: (3, H, W) unit normals, y up.
+    """
+    kept, total = KeptArrays(), np.zeros(diffuse.shape, dtype=np.float32)
+    flat, upright = np.zeros_like(roughness[0]), np.ones_like(roughness[0])
+    straight = (kept.of(flat), kept.of(flat), kept.of(upright))
+    pixels = CPixels(
+        count=flat.size,
+        point=straight,
+        view=straight,
+        normal=tuple(kept.of(axis) for axis in normal),
+        n_dot_v=kept.of(np.maximum(normal[2], np.float32(0.0))),
+        alpha=kept.of(alpha_of(roughness)),
+        diffuse=tuple(kept.of(channel) for channel in diffuse),
+        specular=tuple(kept.of(channel) for channel in np.broadcast_to(specular, diffuse.shape)),
+        total=tuple(channel.ctypes.data for channel in total),
+    )
+    lamp = CLamp(
+        place=tuple(unit3(light.direction)),
+        colour=light.irradiance,
+        far=1,
+        power=1.0,
+        parts=DIFFUSE + SPECULAR,
+    )
+    loops().matcap_relight_lamp(byref(pixels), byref(lamp), None)
+    return total

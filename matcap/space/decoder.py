@@ -1,18 +1,4 @@
-"""The decoder: a U-Net that turns a random field into maps [henzler2021, sec. 4.2].
-
-Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
-upsampling with skip connections. On the way up every level also receives a drawing, if the decoder
-reads one (drawing.py), and the material's lattice channels, if it has a lattice
-(lattice_channels.py). They are not inputs of the way down, where max-pooling would alias them.
-
-Every convolution is followed by AdaIN [huang2017], whose target mean and deviation are affine in
-the 64-D latent vector; also the last one, so that each map's mean and contrast are affine in it.
-AdaIN normalises by statistics of its input (training), by stored ones (frozen; see freeze.py), or
-by running ones (tuning/renormalise.py).
-
-A rectangle is decoded either as a torus (`periodic=True`) or with a halo of noise around it, which
-the caller cuts off; no border is padded.
-"""
+"""The decoder: a U-Net that turns a random field into maps [henzler2021, sec. 4.2]."""
 
 from __future__ import annotations
 
@@ -24,11 +10,145 @@ from dataclasses import dataclass, replace
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.autograd.function import Function, FunctionCtx, once_differentiable
 
 from matcap.brdf.maps import MapSet
-from matcap.space.lattice_channels import WAVE_CHANNELS
-from matcap.space.layers import wrap
-from matcap.space.random_field import RandomField
+from matcap.space.random_field import WAVE_CHANNELS, RandomField
+
+# Layers: residual blocks, convolution on a torus, and convolution without padding.
+#
+# Residual blocks [he2016] are those of encoder and alignment branch. The decoder is trained on a
+# torus, padded circularly, and frozen for endless fields, where nothing is padded.
+
+
+_GROUP = 16  # channels normalised together
+
+
+class Shortcut(nn.Module):
+    """Layers with a shortcut: identity, or a 1 x 1 convolution where the shape changes."""
+
+    def __init__(self, layers: Sequence[nn.Module], inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(*layers)
+        self.shortcut: nn.Module = nn.Identity()
+        if inputs != outputs or stride != 1:
+            self.shortcut = nn.Sequential(*convolution(inputs, outputs, 1, stride))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
+        return F.relu(self.body(features) + self.shortcut(features))
+
+
+def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
+    """Two 3 x 3 convolutions with a shortcut."""
+    layers = [
+        *convolution(inputs, outputs, 3, stride),
+        nn.ReLU(inplace=True),
+        *convolution(outputs, outputs, 3),
+    ]
+    return Shortcut(layers, inputs, outputs, stride)
+
+
+def convolution(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
+    """A convolution with group normalisation."""
+    return [
+        nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False),
+        nn.GroupNorm(outputs // _GROUP, outputs),
+    ]
+
+
+def wrap(features: Tensor) -> Tensor:
+    """(B, C, H + 2, W + 2) of (B, C, H, W), padded circularly by one texel.
+
+    Equal to torch.nn.functional.pad(mode="circular"), whose gradient copies the whole tensor once
+    for every side; this one does not.
+    """
+    # torch leaves apply untyped.
+    return _Wrap.apply(features)  # type: ignore[no-untyped-call]
+
+
+class _Wrap(Function):
+    @staticmethod
+    def forward(ctx: FunctionCtx, features: Tensor) -> Tensor:
+        return F.pad(features, (1, 1, 1, 1), mode="circular")
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: FunctionCtx, gradient: Tensor) -> Tensor:
+        """Add the gradient of each border texel to that of the texel it is a copy of."""
+        rows = gradient[..., 1:-1, :].clone()
+        rows[..., 0, :] += gradient[..., -1, :]
+        rows[..., -1, :] += gradient[..., 0, :]
+        texels = rows[..., 1:-1]
+        texels[..., 0] += rows[..., -1]
+        texels[..., -1] += rows[..., 0]
+        return texels
+
+
+def convolve(
+    parts: Sequence[Tensor], weights: Sequence[Tensor], bias: Tensor, *, activate: bool
+) -> Tensor:
+    """ReLU(bias + sum over i of parts[i] * weights[i]), * a convolution without padding.
+
+    The frozen network's only costly operation. A convolution of concatenated features is the sum of
+    the convolutions of its parts, so that nothing is concatenated. Where oneDNN supports it, bias,
+    sum and ReLU are fused into the convolution.
+
+    Args:
+        parts: (B, C_i, H, W), in channels_last memory format.
+        weights: (out, C_i, k, k), likewise.
+        bias: (out,).
+
+    Returns:
+        (B, out, H - k + 1, W - k + 1), likewise.
+    """
+    if _fused(parts[0]):
+        return _convolve_fused(parts, weights, bias, activate)
+    total = F.conv2d(parts[0], weights[0], bias)
+    for part, weight in zip(parts[1:], weights[1:], strict=True):
+        total += F.conv2d(part, weight)
+    return total.relu_() if activate else total
+
+
+def _fused(features: Tensor) -> bool:
+    if features.device.type != "cpu" or not torch.backends.mkldnn.is_available():
+        return False
+    if features.dtype == torch.bfloat16:
+        return torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    return features.dtype == torch.float32
+
+
+def _convolve_fused(
+    parts: Sequence[Tensor], weights: Sequence[Tensor], bias: Tensor, activate: bool
+) -> Tensor:
+    shape = ([0, 0], [1, 1], [1, 1], 1)  # padding, stride, dilation, groups
+    ends = [*["none"] * (len(parts) - 1), "relu" if activate else "none"]
+    total = torch.ops.mkldnn._convolution_pointwise(
+        parts[0], weights[0], bias, *shape, ends[0], [], ""
+    )
+    for part, weight, end in zip(parts[1:], weights[1:], ends[1:], strict=True):
+        unary = end if end == "relu" else None
+        total = torch.ops.mkldnn._convolution_pointwise_(
+            total, part, weight, None, *shape, "add", 1.0, unary, [], None
+        )
+    return total
+
+
+# The decoder: a U-Net that turns a random field into maps [henzler2021, sec. 4.2].
+#
+# Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
+# upsampling with skip connections. On the way up every level also receives a drawing, if the
+# decoder reads one (freeze.py), and the material's lattice channels, if it has a lattice
+# (random_field.py). They are not inputs of the way down, where max-pooling would alias them.
+#
+# Every convolution is followed by AdaIN [huang2017], whose target mean and deviation are affine in
+# the 64-D latent vector; also the last one, so that each map's mean and contrast are affine in it.
+# AdaIN normalises by statistics of its input (training), by stored ones (frozen; see freeze.py), or
+# by running ones (tuning/finetune.py).
+#
+# A rectangle is decoded either as a torus (`periodic=True`) or with a halo of noise around it,
+# which the caller cuts off; no border is padded.
+
 
 CODE_SIZE = 64  # dimensions of the latent vector, as in the paper
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
@@ -50,9 +170,9 @@ class DecoderConfig:
     convolutions: tuple[int, int] = (1, 2)
     """3 x 3 convolutions per block on the way down and on the way up."""
     cells: int = 0
-    """Channels of noise that is constant over each lattice cell (lattice_channels.py)."""
+    """Channels of noise that is constant over each lattice cell (random_field.py)."""
     drawing: int = 0
-    """Channels of the drawing (drawing.py): DRAWING_CHANNELS, or 0 as in the paper."""
+    """Channels of the drawing (freeze.py): DRAWING_CHANNELS, or 0 as in the paper."""
 
     @property
     def lattice_channels(self) -> int:

@@ -1,26 +1,67 @@
-"""The encoder: a flash photograph to mean and log-variance of its latent vector [henzler2021].
-
-Inputs are the logarithm of the photograph, image coordinates (a highlight's meaning depends on its
-position), parameters of the coarse fit, and texture statistics. There are two backbones: "small",
-the shipped one, and "resnet50" [he2016], the paper's. Both use group normalisation, as a batch has
-few materials.
-"""
+"""The encoder [henzler2021]: a photograph to its latent vector, and its inputs."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from matcap.errors import UsageError
-from matcap.space.decoder import CODE_SIZE
-from matcap.space.layers import Shortcut, convolution, residual_block
-from matcap.space.picture import PICTURE_CHANNELS
+from matcap.flash.coarse.fit import CoarseFit
+from matcap.space.decoder import CODE_SIZE, Shortcut, convolution, residual_block
+from matcap.statistics.compare import (
+    Descriptor,
+    FilterBank,
+    FilterBankConfig,
+    describe,
+    fit_encoding,
+)
 
-NUMBERS = 16  # parameters of the coarse fit (space/prior/encoder_input.py)
-TEXTURE = 231  # texture statistics at full resolution (space/prior/encoder_input.py)
+# Downsampled photograph and image coordinates: the image input of encoder and alignment branch.
+
+
+PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
+_TOE = 0.03  # added inside the logarithm, as a share of the median radiance
+
+
+def picture(pixels: NDArray[np.float32], width: int) -> Tensor:
+    """(5, h, width) of (H, W, 3) linear pixels: log_colour, then picture_coordinates."""
+    height = round(width * pixels.shape[0] / pixels.shape[1])
+    small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+    linear = torch.from_numpy(np.ascontiguousarray(small.transpose(2, 0, 1)))
+    return torch.cat([log_colour(linear), picture_coordinates(width, height)])
+
+
+def log_colour(linear: Tensor) -> Tensor:
+    """(3, h, w) log(L / median + 0.03) of linear radiance L; independent of the exposure."""
+    median = linear.mean(0).median().clamp_min(1e-6)
+    return torch.log(linear.clamp(0.0, 1.0) / median + _TOE)
+
+
+def picture_coordinates(width: int, height: int) -> Tensor:
+    """(2, h, w) coordinates of pixel centres: u right, in [-1, 1], v up, in the same unit."""
+    u = (torch.arange(width) + 0.5) / width * 2.0 - 1.0
+    v = (1.0 - (torch.arange(height) + 0.5) / height * 2.0) * height / width
+    return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
+
+
+# The encoder: a flash photograph to mean and log-variance of its latent vector [henzler2021].
+#
+# Inputs are the logarithm of the photograph, image coordinates (a highlight's meaning depends on
+# its position), parameters of the coarse fit, and texture statistics. There are two backbones:
+# "small", the shipped one, and "resnet50" [he2016], the paper's. Both use group normalisation, as a
+# batch has few materials.
+
+
+NUMBERS = 16  # parameters of the coarse fit (space/encoder.py)
+TEXTURE = 231  # texture statistics at full resolution (space/encoder.py)
 BACKBONES = ("small", "resnet50")
 
 _LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a dimension of the latent vector
@@ -121,3 +162,91 @@ def _resnet50() -> tuple[nn.Module, int]:
             layers.append(bottleneck(channels, outputs, stride if index == 0 else 1))
             channels = outputs
     return nn.Sequential(*layers), channels
+
+
+# Encoder inputs besides the image: parameters of the coarse fit, and texture statistics.
+#
+# The encoder's image is too small to show fine texture. Autocorrelation, contrast and quantiles of
+# windows at full resolution describe it.
+
+
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # of the texture loss in training
+# Gram matrices are no inputs of the encoder; one filter keeps them small.
+_ENCODER_BANK = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
+WINDOW = 96  # texels a side of the windows that statistics are computed of
+_PLACES_ACROSS, _PLACES_DOWN = (0.1, 0.37, 0.63, 0.9), (0.15, 0.5, 0.85)
+_LEVELS = 3  # pyramid levels, as many as a window of 64 texels has
+_LAGS_DOWN = (0, 1, 2, 4, 7, 11)  # texels of a level, as are those across
+_LAGS_ACROSS = (-11, -7, -4, -2, -1, 0, 1, 2, 4, 7, 11)
+_QUANTILES = (1, 5, 12, 24, 39, 51, 58, 62)  # indices of 64
+_STRONGEST = 2  # index of the encoded channel of most variance
+
+
+def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
+    """(NUMBERS,) parameters of the coarse fit, each about standard normal.
+
+    Args:
+        contrast: (3,) from tuning.start.log_contrast.
+        detail: texels across the photograph.
+    """
+    setup = coarse.setup
+    values = [
+        *(math.log(value) + 1.5 for value in coarse.diffuse),
+        math.log(coarse.specular) + 3.0,
+        4.0 * (coarse.roughness - 0.5),
+        *(math.log(max(float(value), 1e-3)) + 2.0 for value in contrast),
+        (setup.fov - 60.0) / 15.0,
+        10.0 * setup.offset[0],
+        10.0 * setup.offset[1],
+        10.0 * setup.tilt[0],
+        10.0 * setup.tilt[1],
+        # The prior was trained with fits of r^2 alone, whose coefficient takes 0.7 of that of r^4.
+        2.0 * (setup.vignetting + 0.7 * setup.vignetting_quartic),
+        10.0 * coarse.residual,
+        math.log2(detail / 1024.0),
+    ]
+    assert len(values) == NUMBERS
+    return torch.tensor(values, dtype=torch.float32)
+
+
+def texture(windows: Descriptor) -> Tensor:
+    """(TEXTURE,) means over windows of autocorrelation, log variance and quantiles by level."""
+    parts = []
+    levels = zip(windows.spectra, windows.quantiles, strict=True)
+    for spectra, quantiles in itertools.islice(levels, _LEVELS):
+        reach = spectra.shape[-1] // 2
+        variance = spectra[:, :, 0, reach].clamp_min(1e-4)
+        rows = spectra[:, _STRONGEST][:, [min(lag, reach) for lag in _LAGS_DOWN]]
+        columns = [reach + max(-reach, min(lag, reach)) for lag in _LAGS_ACROSS]
+        strongest = variance[:, _STRONGEST]
+        parts.append((rows[:, :, columns] / strongest[:, None, None]).flatten(1))
+        parts.append(0.5 * variance.log())
+        parts.append(quantiles[:, _STRONGEST][:, list(_QUANTILES)] / strongest.sqrt()[:, None])
+    return torch.cat(parts, dim=1).float().mean(0).clamp(-4.0, 4.0)
+
+
+def describe_windows(linear: Tensor, valid: Tensor) -> Descriptor:
+    """Descriptor of windows on a 4 x 3 grid over a rectified photograph.
+
+    Windows are WINDOW texels wide, or as wide as a smaller photograph; those of which less than
+    half is valid are left out, unless all are.
+
+    Args:
+        linear: (3, H, W) radiance.
+        valid: (H, W) bool.
+    """
+    height, width = linear.shape[-2:]
+    side = min(WINDOW, height, width)
+    corners = [
+        (round(x * (width - side)), round(y * (height - side)))
+        for y in _PLACES_DOWN
+        for x in _PLACES_ACROSS
+    ]
+    shares = [float(valid[y : y + side, x : x + side].float().mean()) for x, y in corners]
+    least = min(0.5, max(shares))
+    windows = [
+        linear[:, y : y + side, x : x + side]
+        for (x, y), share in zip(corners, shares, strict=True)
+        if share >= least
+    ]
+    return describe(torch.stack(windows), fit_encoding(linear, valid), FilterBank(_ENCODER_BANK))

@@ -1,35 +1,152 @@
-"""Freezing: AdaIN with stored statistics, folded into the convolutions.
-
-Instance normalisation makes the output depend on the rectangle that is decoded. Statistics that are
-measured once on a large reference field and stored turn every AdaIN into an affine map, which folds
-into the convolution before it. What remains is a CNN whose output at a texel depends on the noise
-around it alone.
-"""
+"""Freezing: AdaIN with stored statistics; spans of the levels, and the drawing a decoder reads."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.field.plane import Rectangle, Span
+from matcap.example.example import Example
+from matcap.example.exemplar import COLOURED, DIFFUSE, HEIGHT, SPECULAR
+from matcap.field.plane import Period, Rectangle, Span
+from matcap.files.color import LUMINANCE
 from matcap.space.decoder import (
     DEPTH,
     ConvolutionLayer,
     Decoder,
     DecoderConfig,
     Moments,
+    convolve,
     descend,
     upsample,
 )
-from matcap.space.drawing import Drawing
-from matcap.space.layers import convolve
-from matcap.space.patch import Patch
-from matcap.space.random_field import RandomField, random_field
-from matcap.space.spans import Spans
+from matcap.space.random_field import Patch, RandomField, random_field
 from matcap.statistics.lattice import Wave
+
+# The drawing that a decoder reads besides noise: log luminance and relief of an endless field.
+#
+# The default generator rearranges the exemplar for every seed; the decoder turns this field's
+# drawing into maps. Channels are standardised by the exemplar:
+#
+# log(Y),    h - mean of h over a square of 2 AROUND + 1 texels,
+#
+# with Y the luminance of diffuse albedo (where F0 has a colour, of their sum) and h the height in
+# texels. Level k has means of 2^k x 2^k texels. Statistics alone close no cell of leather, however
+# well they are matched (docs/notes/prior.md).
+
+
+AROUND = 16  # texels; slower relief is no pattern
+_DARKEST = 1e-3  # least luminance
+_FLAT = 1e-4  # least deviation that is standardised
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """The drawing of an example's field, at every seed; picklable."""
+
+    example: Example
+
+    @property
+    def alignment(self) -> int:
+        """Texels: periods of its field are multiples of this."""
+        return self.example.alignment
+
+    def levels(
+        self, seed: int, area: Rectangle, period: Period | None = None
+    ) -> tuple[Tensor, ...]:
+        """(1, DRAWING_CHANNELS, height / 2^k, width / 2^k) of each level k on the way up.
+
+        Args:
+            seed: of the realisation.
+            area: whose corner and sides are multiples of 2^(DEPTH - 1) texels.
+            period: of the field, or None.
+        """
+        return self.levels_of(self.around(seed, area, period))
+
+    def around(self, seed: int, area: Rectangle, period: Period | None = None) -> Tensor:
+        """Stacked maps of the field over an area and what levels_of() needs around it."""
+        return torch.from_numpy(self.example.maps(seed, area.grown(AROUND), period))
+
+    def levels_of(self, maps: Tensor) -> tuple[Tensor, ...]:
+        """The drawing of stacked maps (6 or 8, H + 2 AROUND, W + 2 AROUND); see levels()."""
+        mean, deviation = self._moments
+        levels = [((self._planes(maps) - mean) / deviation)[None]]
+        for _ in range(DEPTH - 1):
+            levels.append(F.avg_pool2d(levels[-1], 2))
+        return tuple(levels)
+
+    @cached_property
+    def _moments(self) -> tuple[Tensor, Tensor]:
+        """(DRAWING_CHANNELS, 1, 1) mean and deviation over the exemplar."""
+        maps = torch.from_numpy(self.example.exemplar.stacked())[None]
+        planes = self._planes(F.pad(maps, (AROUND,) * 4, mode="replicate")[0])
+        mean, deviation = planes.mean((1, 2), keepdim=True), planes.std((1, 2), keepdim=True)
+        return mean, deviation.clamp_min(_FLAT)
+
+    def _planes(self, maps: Tensor) -> Tensor:
+        """The drawing before it is standardised, (DRAWING_CHANNELS, H, W)."""
+        colour = maps[DIFFUSE]
+        if len(maps[SPECULAR]) == COLOURED:
+            colour = colour + maps[SPECULAR]
+        luminance = torch.tensordot(colour.new_tensor(LUMINANCE), colour, 1)
+        height, side = maps[HEIGHT] / self.example.exemplar.texel_size, 2 * AROUND + 1
+        mean = F.avg_pool2d(F.avg_pool2d(height, (side, 1), 1), (1, side), 1)
+        within = (..., slice(AROUND, -AROUND), slice(AROUND, -AROUND))
+        drawn = luminance.clamp_min(_DARKEST).log()[None]
+        return torch.cat([drawn[within], height[within] - mean])
+
+
+# Receptive fields: the span of every decoder level that a block of output needs.
+#
+# Computed from the output back to the noise, so that convolutions need no padding. Spans are along
+# one axis, in texels of their level, counted from the block's first texel.
+
+
+@dataclass(frozen=True)
+class Spans:
+    """Spans of every level along one axis, full resolution first."""
+
+    output: Span
+    """Span of the raw outputs."""
+    joined: tuple[Span, ...]
+    """Span of the input of each upward block (the level below upsampled, skip connection, lattice),
+    for levels 0 to DEPTH - 1. The outermost upsampled texel is not valid."""
+    risen: tuple[Span, ...]
+    """Span of each level that is upsampled, for levels 1 to DEPTH; entry 0 is the output."""
+    down: tuple[Span, ...]
+    """Span of the input of each downward block; entry 0 is the noise."""
+    skips: tuple[Span, ...]
+    """Span of the output of each downward block, which the skip connection takes."""
+
+
+def spans_of(output: Span, convolutions: tuple[int, int]) -> Spans:
+    """Spans for an output; `convolutions` are 3 x 3 ones per block on the way down and up."""
+    down_count, up_count = convolutions
+    risen, joined = [output], []
+    for _ in range(DEPTH):
+        valid = risen[-1].grown(up_count)
+        # Upsampled texel i is interpolated from texels (i - 1) // 2 and (i + 1) // 2.
+        risen.append(Span((valid.start - 1) // 2, valid.stop // 2 + 1))
+        joined.append(risen[-1].doubled())
+    skips = [risen[-1]]
+    down = [skips[-1].grown(down_count)]
+    for _ in range(DEPTH):
+        skips.append(down[-1].doubled())
+        down.append(skips[-1].grown(down_count))
+    return Spans(output, tuple(joined), tuple(risen), tuple(down[::-1]), tuple(skips[::-1]))
+
+
+# Freezing: AdaIN with stored statistics, folded into the convolutions.
+#
+# Instance normalisation makes the output depend on the rectangle that is decoded. Statistics that
+# are measured once on a large reference field and stored turn every AdaIN into an affine map, which
+# folds into the convolution before it. What remains is a CNN whose output at a texel depends on the
+# noise around it alone.
+
 
 _SIZE = 512  # texels a side of the reference field
 _REFERENCE_SEED = -1  # a seed that users are unlikely to choose

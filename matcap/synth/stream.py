@@ -1,49 +1,166 @@
-"""Writes a rectangle of any size to files, in memory that does not grow with its size.
-
-    blocks -> texels (in the workers) -> a file of plain numbers -> EXR files with mip levels, PNGs,
-           preview -> published together
-
-An interrupted run is resumed with the blocks that it had, and its files have the same bytes as
-those of an uninterrupted one.
-
-Read next: plan.py, workers.py, assembly.py, pictures.py.
+"""Writes a rectangle of any size to files, in memory that does not grow with its size,
+resumably.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from matcap.brdf.folder import preview_name
-from matcap.files.output import check_output, check_writable
-from matcap.synth.assembly import Assembly
-from matcap.synth.jobs import BlockResult, Job, WorkerPool
-from matcap.synth.pictures import height_coding, texel_type, write_map, write_png
-from matcap.synth.plan import (
+from filelock import FileLock, Timeout
+
+from matcap.brdf.folder import MEANINGS, mapset_files, preview_name
+from matcap.errors import MatcapError
+from matcap.files.names import StagedFolder, plain_name
+from matcap.files.output import Output, check_output, check_writable
+from matcap.files.process import WorkerLost
+from matcap.synth.pictures import (
+    Assembly,
+    PreviewPicture,
+    height_coding,
+    texel_type,
+    write_map,
+    write_png,
+)
+from matcap.synth.request import (
     PlannedMapSet,
+    SynthProgress,
+    SynthRequest,
+    Work,
     bytes_of,
     check_request,
     document_of,
     key_of,
     mapsets_of,
+    open_field,
     wrap_modes,
 )
-from matcap.synth.preview import PreviewPicture
-from matcap.synth.request import SynthProgress, SynthRequest, Work
-from matcap.synth.unfinished import files_of, unfinished, unfinished_bytes
-from matcap.synth.workers import worker_pool
+from matcap.synth.workers import BlockResult, Job, WorkerPool, worker_pool
 
 if TYPE_CHECKING:
-    from matcap.field.blocks import BlockPart
+    from matcap.field.plane import BlockPart
     from matcap.field.source import Source
-    from matcap.synth.fields import OpenedField
+    from matcap.synth.request import OpenedField
+
+
+# Staging folder of a run that can be resumed.
+#
+# Unlike those of other outputs (files/output.py), an interrupted run's hidden folder is kept.
+
+
+_KEY, _LOCK = ".request", ".lock"
+
+
+@contextmanager
+def unfinished(folder: Path, name: str, key: str, *, resume: bool) -> Iterator[StagedFolder]:
+    """Context of a folder to write into, whose files are moved to `folder` on exit.
+
+    After an interruption, a full disk or a killed worker the staging folder is kept; after any
+    other error it is removed.
+
+    Args:
+        folder: destination; created if missing.
+        key: plan.key_of of the request: a digest, a space, the device.
+        resume: keep the files of an interrupted run; otherwise remove them.
+
+    Raises:
+        MatcapError: another run is writing these maps, the interrupted run had another key, the
+            disk is full, or the folder cannot be written.
+    """
+    output = Output(folder, files_of(folder, name))
+    with output.stage(_stage_name(name)) as stage, _locked(stage):
+        keep = True
+        try:
+            _open(stage, key, resume=resume)
+            yield stage
+            names = [file.name for file in stage.iterdir() if not file.name.startswith(".")]
+            output.publish(stage, names)
+            keep = False
+        except Exception as error:
+            keep = isinstance(error, (OSError, WorkerLost))
+            raise
+        finally:
+            if not keep:
+                shutil.rmtree(stage, ignore_errors=True)
+
+
+def unfinished_bytes(folder: Path, name: str) -> int:
+    """Bytes that an interrupted run left in its staging folder."""
+    stage = folder / _stage_name(name)
+    return sum(file.stat().st_size for file in stage.glob("*") if file.is_file())
+
+
+def _stage_name(name: str) -> str:
+    return f".{plain_name(name)}.matcap-part"
+
+
+@contextmanager
+def _locked(stage: Path) -> Iterator[None]:
+    lock = FileLock(stage / _LOCK, timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise MatcapError.at(
+            stage.parent,
+            "another matcap is writing these maps",
+            "wait for it, or choose another folder with -o",
+        ) from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+def _open(stage: Path, key: str, *, resume: bool) -> None:
+    """Check that the staged files belong to this request; without `resume` remove them."""
+    file = stage / _KEY
+    begun = file.read_text() if resume and file.exists() else key
+    before, now = (one.partition(" ")[2] for one in (begun, key))
+    if before not in ("", now):
+        raise MatcapError.at(
+            stage,
+            f"the unfinished maps here were begun on {before}; {now} rounds differently",
+            f"give --device {before}, or leave --resume out to begin anew",
+        )
+    if begun != key:
+        raise MatcapError.at(
+            stage,
+            "the unfinished maps here were begun with another material or other settings",
+            "repeat the command that began them, or leave --resume out to begin anew",
+        )
+    if not resume or not file.exists():
+        for old in stage.iterdir():
+            if old.name != _LOCK:
+                old.unlink()
+        file.write_text(key)
+
+
+def files_of(folder: Path, name: str) -> list[str]:
+    """Possible file names of a map set or texture set of this name; UDIM tiles by what exists."""
+    tiles = [
+        file.name for kind in MEANINGS for file in folder.glob(f"{name}_{kind}.1[0-9][0-9][0-9].*")
+    ]
+    return [*mapset_files(name), preview_name(name), *tiles]
+
+
+# Writes a rectangle of any size to files, in memory that does not grow with its size.
+#
+# blocks -> texels (in the workers) -> a file of plain numbers -> EXR files with mip levels, PNGs,
+# preview -> published together
+#
+# An interrupted run is resumed with the blocks that it had, and its files have the same bytes as
+# those of an uninterrupted one.
+#
+# Read next: plan.py, workers.py, pictures.py, pictures.py.
 
 
 def write_field(
@@ -145,3 +262,31 @@ class _Clock:
         rate = self._written / max(seconds, 1e-9)
         left = (self._total - done) / rate if rate else None
         self._on_progress(SynthProgress("", done / self._total, seconds, left, rate))
+
+
+# Synthesise a rectangle of a material's field to files: `matcap synth`, for Python.
+#
+# PyTorch is imported only where it is needed: a material with an exemplar does not need it, and
+# importing it takes longer than synthesising a map.
+
+
+def synthesise(request: SynthRequest, folder: str | Path, work: Work | None = None) -> Path:
+    """Write a request's map set into a folder, all files or none; return the path of its JSON file.
+
+    Args:
+        folder: created if missing.
+        work: workers, progress callback and overwriting.
+
+    Raises:
+        UsageError: a size or period out of range, no CUDA device.
+        MatcapError: what open_field and write_field raise.
+
+    Example:
+        synthesise(SynthRequest(material, Rectangle(0, 0, 4096, 256), seed=7), "more")
+    """
+    work = work or Work()
+    if work.scheduler and request.device == "auto":
+        # A cluster's machines may have no CUDA device, and all blocks must come from one kind.
+        request = replace(request, device="cpu")
+    request, opened = open_field(request)
+    return write_field(request, opened, folder, work)

@@ -1,17 +1,16 @@
-"""Routes of the page's server, and the check of its requests.
-
-The server is reachable from this machine only (serve.py), under an address with a random token.
-Requests with another Host header are refused, against DNS rebinding. Routes are a fixed list and no
-request names a file, so that there is no path traversal.
-"""
+"""The page's server, bound to 127.0.0.1: routes, and the check of requests."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import os
 import secrets
+import socket
 import tempfile
+import webbrowser
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,8 +21,7 @@ from numpy.typing import NDArray
 from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.pages import Page, Pages, Place
-from matcap.view.references import References
+from matcap.view.pages import Page, Pages, Place, References
 from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
@@ -32,6 +30,13 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.routing import BaseRoute
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+
+# Routes of the page's server, and the check of its requests.
+#
+# The server is reachable from this machine only (server.py), under an address with a random token.
+# Requests with another Host header are refused, against DNS rebinding. Routes are a fixed list and
+# no request names a file, so that there is no path traversal.
 
 
 PagesOf = Callable[[Viewable], Pages]
@@ -263,3 +268,83 @@ def decoded_exr(data: bytes) -> NDArray[np.float32]:
         except MatcapError as error:
             # Without the temporary path.
             raise MatcapError.at("the picture", error.what, error.remedy) from error
+
+
+# Runs the page's server, bound to 127.0.0.1 only.
+
+
+HOST = "127.0.0.1"
+# (level, column, row) of the pages visible first, as initial() in page/view.js.
+_FIRST = ((3, 0, 0), (0, 3, 3), (0, 4, 3), (0, 3, 4), (0, 4, 4))
+
+
+def serve(
+    make: Callable[[Address, PagesOf], Starlette],
+    *,
+    port: int = 0,
+    opens: bool = True,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve a page until interrupted.
+
+    Args:
+        make: the application (server.py), of its address and a function to pages.
+        port: 0 is a free one.
+        opens: open the browser.
+        announce: called with the address once requests are accepted.
+
+    Raises:
+        MatcapError: the port is taken, or the extra `view` is not installed.
+    """
+    try:
+        import uvicorn
+    except ImportError as error:
+        raise MatcapError(
+            "the page needs the extra 'view'",
+            remedy='pip install "matcap[view]", or write one file with --html',
+        ) from error
+    import torch
+
+    # A page is computed on one thread; threads must not change this setting concurrently.
+    torch.set_num_threads(1)
+    listening, opened = listen(port), ExitStack()
+    address = new_address(listening.getsockname()[1])
+    app = make(address, lambda subject: _begun(subject, opened))
+    server = uvicorn.Server(
+        uvicorn.Config(app, log_level="warning", lifespan="off", server_header=False)
+    )
+    announce(address.url)
+    if opens:
+        # Connections wait in the socket's queue until the server takes them.
+        webbrowser.open(address.url)
+    try:
+        with suppress(KeyboardInterrupt):
+            server.run(sockets=[listening])
+    finally:
+        opened.close()
+        listening.close()
+
+
+def _begun(subject: Viewable, opened: ExitStack) -> Pages:
+    """Pages of a subject, with the first visible ones being computed while the browser starts."""
+    pages = Pages(subject)
+    opened.callback(pages.close)
+    for level, column, row in _FIRST:
+        pages.ask(Place(level, column, row, subject.facts.seed))
+    return pages
+
+
+def listen(port: int) -> socket.socket:
+    """A listening socket on 127.0.0.1; port 0 is a free one.
+
+    Raises:
+        MatcapError: the port is taken or needs permission.
+    """
+    try:
+        return socket.create_server((HOST, port), backlog=64)
+    except OSError as error:
+        raise MatcapError.at(
+            "--port",
+            f"the port {port} cannot be used ({os.strerror(error.errno or 0)})",
+            "choose another, or leave it out",
+        ) from error

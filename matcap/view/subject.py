@@ -1,4 +1,4 @@
-"""Subjects of the page: a material, a blend of two, or a map set."""
+"""Subjects of the page: a material, a blend of two, or a map set; options."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Rectangle
+from matcap.files import settings as values
+from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -22,9 +24,36 @@ if TYPE_CHECKING:
         ExampleLevels,
         ExemplarAverages,
         NetworkLevels,
+        Planes,
         Pyramid,
     )
-    from matcap.view.moments import Planes
+
+
+# Options of `matcap view`.
+
+
+@dataclass(frozen=True)
+class ViewOptions(CheckedSettings):
+    """Options of `matcap view`."""
+
+    blend: Path | None = setting(None, metavar="FILE")
+    """A second material to compare and blend with."""
+    photo: Path | None = setting(None, metavar="FILE", otherwise="that of the folder")
+    """A photograph to show next to the material."""
+    seed: int = setting(0, metavar="SEED", parse=values.seed)
+    """Seed of the realisation shown first."""
+    port: int = setting(0, least=0, most=65535, otherwise="a free one")
+    """Port of the server."""
+    opens: bool = setting(True, option="open")
+    """Open the page in the browser."""
+    html: Path | None = setting(None, metavar="FILE")
+    """Write a self-contained HTML file instead of running a server."""
+    tile: int = setting(512, least=16, most=2048)
+    """Side of the seamless tile in --html, in texels, a multiple of 16."""
+
+
+# Subjects of the page: a material, a blend of two, or a map set.
+
 
 _FIELDS = 8  # fields cached, by seed and share; and blends, by share
 
@@ -66,7 +95,7 @@ class ViewFacts:
     seed: int
     """Seed of the realisation shown first."""
     mean: tuple[float, ...]
-    """Mean moments (moments.py), shown until pages arrive."""
+    """Mean moments (level_of_detail.py), shown until pages arrive."""
     piece: tuple[int, int] | None = None
     """(width, height) of the exemplar in texels, or None."""
     flash: Flashed | None = None
@@ -85,7 +114,7 @@ class Viewable(Protocol):
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
     ) -> tuple[Planes, float]:
-        """(9 or 11, height, width) moments of an area (moments.py), and the texel size.
+        """(9 or 11, height, width) moments of an area (level_of_detail.py), and the texel size.
 
         Args:
             level: texels are 2^level texels of the material wide.
@@ -153,8 +182,11 @@ class Materials:
 
     @cached_property
     def _piece(self) -> Pyramid:
-        from matcap.view.level_of_detail import Pyramid
-        from matcap.view.moments import edged, moments_of
+        from matcap.view.level_of_detail import (
+            Pyramid,
+            edged,
+            moments_of,
+        )
 
         example = self.first.part(Example)
         if example is None:
@@ -164,8 +196,7 @@ class Materials:
 
     @cached_property
     def _mean(self) -> tuple[float, ...]:
-        from matcap.view.level_of_detail import NetworkLevels
-        from matcap.view.moments import mean_of
+        from matcap.view.level_of_detail import NetworkLevels, mean_of
 
         piece = self.first.generator.piece_size
         if piece is None:
@@ -183,7 +214,10 @@ class Materials:
 
     def _open(self, seed: int, share: float) -> ExampleLevels | NetworkLevels:
         from matcap.field.plane import check_seed
-        from matcap.view.level_of_detail import ExampleLevels, NetworkLevels
+        from matcap.view.level_of_detail import (
+            ExampleLevels,
+            NetworkLevels,
+        )
 
         check_seed(seed)
         material = self.at(share)
@@ -213,7 +247,7 @@ class Maps:
     @property
     def facts(self) -> ViewFacts:
         """Description for the page."""
-        from matcap.view.moments import mean_of
+        from matcap.view.level_of_detail import mean_of
 
         whole = Rectangle(0, 0, *self.maps.size)
         mean = mean_of(self._pyramid.read(0, whole))
@@ -231,8 +265,11 @@ class Maps:
 
     @cached_property
     def _pyramid(self) -> Pyramid:
-        from matcap.view.level_of_detail import Pyramid
-        from matcap.view.moments import RING, moments_of
+        from matcap.view.level_of_detail import (
+            RING,
+            Pyramid,
+            moments_of,
+        )
 
         around = ((0, 0), (RING, RING), (RING, RING))
         wrapped = np.pad(self.maps.stacked().numpy(), around, mode="wrap")
@@ -246,7 +283,11 @@ def _no_piece() -> UsageError:
 def _flashed(setup: FlashSetup) -> Flashed:
     import torch
 
-    from matcap.flash.geometry import camera_in_plane, setup_rotation, to_upright
+    from matcap.flash.geometry import (
+        camera_in_plane,
+        setup_rotation,
+        to_upright,
+    )
     from matcap.flash.light import CORNER_SQUARED
 
     camera, light = (tuple(to_upright(setup, place).tolist()) for place in camera_in_plane(setup))

@@ -6,7 +6,7 @@ import pytest
 
 from matcap.batch.worker_pool import Machines
 from matcap.errors import MatcapError
-from matcap.files.progress import Progress
+from matcap.files.names import Progress
 
 distributed = pytest.importorskip("distributed", reason='needs pip install "matcap[cluster]"')
 pytestmark = pytest.mark.filterwarnings("ignore")  # dask's own, about ports and threads
@@ -51,6 +51,6 @@ def test_without_the_extra_the_remedy_is_its_installation(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    monkeypatch.setattr("matcap.files.cluster.import_module", missing)
+    monkeypatch.setattr("matcap.files.process.import_module", missing)
     with pytest.raises(MatcapError, match=r"matcap\[cluster\]"):
         Machines("tcp://127.0.0.1:9", work, prepare)

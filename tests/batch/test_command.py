@@ -7,18 +7,22 @@ import pytest
 from kills import make_shoot
 from rich.console import Console
 
-from matcap.batch import memory
-from matcap.batch.entries import BatchEntry, Policy
-from matcap.batch.input_folder import ShotSample
-from matcap.batch.memory import photo_pixels, pool_size, worker_bytes
-from matcap.batch.record import write_record
-from matcap.batch.settings import BatchSettings
-from matcap.batch.whole import prepare
-from matcap.batch.work import measured
+from matcap.batch import work as memory
+from matcap.batch.run import prepare
+from matcap.batch.samples import BatchSettings, ShotSample
+from matcap.batch.work import (
+    BatchEntry,
+    Policy,
+    measured,
+    photo_pixels,
+    pool_size,
+    worker_bytes,
+    write_record,
+)
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.display import BatchDisplay
 from matcap.cli.main import main
-from matcap.files.progress import Progress
+from matcap.files.names import Progress
 from matcap.photo.calibrate import Calibration
 
 
@@ -121,7 +125,7 @@ def test_a_calibration_card_is_no_sample_and_part_of_the_identity(shoot, tmp_pat
         seen.append(path.name)
         return Calibration(path.name, "digest", millimetres_per_unit=120.0, tilt=1.0)
 
-    monkeypatch.setattr("matcap.batch.whole.read_card", read)
+    monkeypatch.setattr("matcap.batch.run.read_card", read)
     shown = BatchDisplay(Console(file=io.StringIO()), None, quiet=True)
     without = prepare(shoot, tmp_path / "out", BatchSettings(), Policy(), shown)
     (shoot / "Card 1.dng").write_bytes(b"x")

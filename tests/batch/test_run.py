@@ -1,27 +1,30 @@
-"""The order of events of a batch, with a workers that does what it is told."""
+"""A batch's scheduling, its workers and their crashes."""
 
 import errno
 import json
 import os
+import signal
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from kills import torture
 
-import matcap.batch.whole
-from matcap.batch.entries import Policy, make_plan
-from matcap.batch.input_folder import find_samples
-from matcap.batch.record import write_record
+import matcap.batch.run
 from matcap.batch.run import Batch, exit_code
-from matcap.batch.settings import BatchSettings
-from matcap.batch.work import Failure, do_job
-from matcap.batch.worker_pool import Event
-from matcap.batch.workspace import open_run
+from matcap.batch.samples import BatchSettings, find_samples
+from matcap.batch.work import Failure, Policy, do_job, make_plan, open_run, write_record
+from matcap.batch.worker_pool import Event, Processes
 from matcap.capture import pipeline
 from matcap.cli.main import main
-from matcap.files.progress import Progress
+from matcap.files.names import Progress
+
+# The order of events of a batch, with a workers that does what it is told.
+
 
 SETTINGS = BatchSettings.of({"detail": 512, "size": (64, 64)})
 
@@ -277,7 +280,97 @@ def test_an_interrupt_after_the_last_material_is_reported(tmp_path, monkeypatch,
             entry.state = "made"
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(matcap.batch.whole, "work_off", done)
+    monkeypatch.setattr(matcap.batch.run, "work_off", done)
     assert main(["batch", str(shoot), "-o", str(tmp_path / "out")]) == 130
     said = capsys.readouterr().err
     assert "1 made" in said and "matcap: interrupted after the last sample was finished." in said
+
+
+# Worker processes that die, and what the workers says of it.
+
+
+def prepare():
+    pass
+
+
+def work(job, tell):
+    """Module-level, so that a spawned process finds it."""
+    tell(Progress("begun", 0.5))
+    if job == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if job == "exit":
+        os._exit(7)
+    if job == "sleep":
+        time.sleep(60.0)
+    return f"{job} by {os.getpid()}"
+
+
+@pytest.fixture
+def workers():
+    workers = Processes(2, work, prepare)
+    yield workers
+    workers.close()
+
+
+def finish(workers, count):
+    """Wait for so many jobs to end; their events by job, progress left out."""
+    ends = {}
+    limit = time.monotonic() + 30.0
+    while len(ends) < count and time.monotonic() < limit:
+        for event in workers.wait(1.0):
+            if event.kind != "progress":
+                ends[event.job] = event
+    return ends
+
+
+def test_a_killed_worker_takes_no_other_job_along(workers):
+    workers.start("kill")
+    workers.start("fine")
+    ends = finish(workers, 2)
+    assert (ends["kill"].kind, ends["kill"].value) == ("died", -signal.SIGKILL)
+    assert ends["fine"].kind == "done"
+    workers.start("exit")
+    workers.start("again")
+    ends = finish(workers, 2)
+    assert (ends["exit"].kind, ends["exit"].value) == ("died", 7)
+    assert ends["again"].kind == "done" and workers.busy() == 0
+
+
+def test_close_stops_work_at_once(workers):
+    workers.start("sleep")
+    began = time.monotonic()
+    assert [event.value for event in workers.wait(20.0)] == [Progress("begun", 0.5)]
+    workers.close()
+    assert workers.busy() == 0 and time.monotonic() - began < 20.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+def test_workers_end_when_the_main_process_is_killed():
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import test_run as t\n"
+        "if __name__ == '__main__':\n"
+        "    workers = t.Processes(1, t.work, t.prepare)\n"
+        "    workers.start('sleep'); workers.wait(20)\n"
+        "    worker = next(iter(workers._working.values()))[0]\n"
+        "    print(worker._process.pid, flush=True); workers.wait(60)\n"
+    )
+    folder = str(Path(__file__).parent)
+    main = subprocess.Popen(
+        [sys.executable, "-c", code, folder], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    assert main.stdout is not None
+    with main.stdout:
+        worker = int(main.stdout.readline())
+    main.kill()
+    main.wait()
+    limit = time.monotonic() + 10.0
+    while time.monotonic() < limit and _runs(worker):
+        time.sleep(0.05)
+    assert not _runs(worker)
+
+
+def _runs(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False

@@ -1,12 +1,23 @@
-"""matcap.toml and flags; what a material is made from."""
+"""Settings of a batch, and the samples of its input folder."""
+
+import os
 
 import pytest
 
-from matcap.batch import identity as identities
-from matcap.batch.identity import identity
-from matcap.batch.settings import BatchSettings, settings_of
+from matcap.batch import samples as identities
+from matcap.batch.run import group_sentences
+from matcap.batch.samples import (
+    WORKSPACE,
+    BatchSettings,
+    find_samples,
+    identity,
+    settings_of,
+    taken_at,
+)
 from matcap.capture.settings import CaptureSettings, Statistics
-from matcap.errors import UsageError
+from matcap.errors import MatcapError, UsageError
+
+# matcap.toml and flags; what a material is made from.
 
 
 def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
@@ -119,3 +130,172 @@ def test_photograph_prior_card_and_version_change_the_identity(tmp_path, monkeyp
         assert identity([tmp_path / "b.jpg"], base, prior="p") != first
     (tmp_path / "b.jpg").write_bytes(b"other light")
     assert identity([tmp_path / "b.jpg"], base, prior="p") != first
+
+
+# Which files of a folder become which materials.
+
+
+def touch(folder, *names):
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"x")
+
+
+def names(samples):
+    return [sample.name for sample in samples]
+
+
+def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
+    touch(tmp_path, "a.DNG", "A.jpg", "b.jpg", "sub/a.jpg", "notes.txt", "c.heic", "c.nef")
+    found = find_samples(tmp_path)
+    assert names(found) == ["a", "b", "c", "sub-a"]
+    assert found[0].photos == (tmp_path / "a.DNG",)
+    assert found[0].superseded == (tmp_path / "A.jpg",)
+    assert found[2].photos == (tmp_path / "c.nef",)
+    assert found[3].superseded == ()
+
+
+@pytest.mark.parametrize(
+    ("raw", "developed"),
+    [
+        ("PXL_20251115_140015.RAW-02.ORIGINAL.dng", "PXL_20251115_140015.RAW-01.COVER.jpg"),
+        ("PXL_20251115_140015.RAW-02.ORIGINAL.dng", "PXL_20251115_140015.RAW-01.MP.COVER.jpg"),
+        ("PXL_20251115_140015.dng", "PXL_20251115_140015.MP.jpg"),
+        ("PXL_20251115_140015.dng", "PXL_20251115_140015.NIGHT.jpg"),
+    ],
+)
+def test_a_pixel_s_raw_and_its_cover_are_one_photograph(tmp_path, raw, developed):
+    touch(tmp_path, raw, developed, "PXL_20251115_140016.MP.jpg", "wall.cover.jpg", "wall.dng")
+    found = find_samples(tmp_path)
+    assert [(one.photos, one.superseded) for one in found] == [
+        ((tmp_path / raw,), (tmp_path / developed,)),
+        ((tmp_path / "PXL_20251115_140016.MP.jpg",), ()),
+        ((tmp_path / "wall.cover.jpg",), ()),  # no Pixel's name: two photographs
+        ((tmp_path / "wall.dng",), ()),
+    ]
+
+
+@pytest.mark.parametrize(
+    "folder",
+    ["@eaDir/a.jpg", "#recycle", "@Recycle", "__MACOSX", "Thumbnails", "x Previews.lrdata"],
+)
+def test_folders_of_thumbnails_and_waste_are_passed_over(tmp_path, folder):
+    touch(tmp_path, "a.jpg", f"{folder}/SYNOPHOTO_THUMB_XL.jpg", f"sub/{folder}/b.jpg", "sub/c.jpg")
+    assert names(find_samples(tmp_path)) == ["a", "sub-c"]
+
+
+def test_webp_and_avif_are_photographs(tmp_path):
+    touch(tmp_path, "a.webp", "b.avif", "c.AVIF", "c.dng")
+    assert names(find_samples(tmp_path)) == ["a", "b", "c"]
+
+
+def test_a_developed_picture_is_a_photograph_of_its_own(tmp_path):
+    """A TIFF beside a RAW was made by somebody for a reason."""
+    touch(tmp_path, "a.dng", "a.tif", "b.png", "b.jpg")
+    found = find_samples(tmp_path)
+    assert len(found) == 4 and len(set(names(found))) == 4
+    assert {sample.photos[0].name for sample in found} == {"a.dng", "a.tif", "b.png", "b.jpg"}
+
+
+def test_names_are_unique_whatever_the_letters_case_and_stay_when_others_come(tmp_path):
+    touch(tmp_path, "x/a.jpg", "x-a.png", "B.jpg", "sub/B.jpg", "report.jpg", ".hidden.jpg")
+    before = {sample.photos[0]: sample.name for sample in find_samples(tmp_path)}
+    assert len({name.casefold() for name in before.values()}) == len(before) == 5
+    assert "report" not in before.values()
+    touch(tmp_path, "C.jpg", "sub/D.jpg")
+    after = {sample.photos[0]: sample.name for sample in find_samples(tmp_path)}
+    assert {photo: after[photo] for photo in before} == before
+
+
+def test_output_of_batches_hidden_folders_and_links_are_passed_over(tmp_path):
+    touch(tmp_path, "a.jpg", "old/b/preview.png", f"old/{WORKSPACE}/x", ".trash/c.jpg")
+    touch(tmp_path, "out/d/preview.png")
+    os.symlink(tmp_path, tmp_path / "round")
+    assert names(find_samples(tmp_path, without=[tmp_path / "out"])) == ["a"]
+
+
+def test_pictures_that_matcap_wrote_are_passed_over(tmp_path):
+    touch(tmp_path, "oak.jpg", "oak.jpg.json", "bark_preview.png", "strip_diffuse.png")
+    touch(tmp_path, "strip.json", "strip_preview.png", "strip_normal.png", "sub/preview.png")
+    assert names(find_samples(tmp_path)) == ["bark_preview", "oak", "sub-preview"]
+    touch(tmp_path, "sub/report.json")
+    assert names(find_samples(tmp_path)) == ["bark_preview", "oak"]
+
+
+def test_grouped_by_folder(tmp_path):
+    touch(tmp_path, "one/a.jpg", "one/b.jpg", "two/a.dng", "two/a.jpg", "top.jpg")
+    found = find_samples(tmp_path, group="dir")
+    assert [len(sample.photos) for sample in found] == [1, 2, 1]
+    assert names(found) == [tmp_path.name, "one", "two"]
+    assert found[2].superseded == (tmp_path / "two/a.jpg",)
+
+
+def test_grouped_by_name(tmp_path):
+    touch(tmp_path, "oak_2.jpg", "oak_1.jpg", "oak_10.dng", "elm-1.dng", "elm-1.jpg", "elm-2.dng")
+    touch(tmp_path, "IMG_0001.jpg", "IMG_0002.jpg", "sub/oak_3.jpg", "ash_4.jpg", "ash_5.jpg")
+    groups = [[p.name for p in s.photos] for s in find_samples(tmp_path, group="name")]
+    assert ["elm-1.dng", "elm-2.dng"] in groups
+    assert ["oak_1.jpg"] in groups  # 1, 2 and 10 are no count
+    assert all(len(group) == 1 for group in groups if not group[0].startswith("elm"))
+    (tmp_path / "oak_10.dng").unlink()
+    groups = [[p.name for p in s.photos] for s in find_samples(tmp_path, group="name")]
+    assert ["oak_1.jpg", "oak_2.jpg"] in groups
+    assert len(groups) == 7
+
+
+def test_sets_are_told_before_anything_starts(tmp_path):
+    touch(tmp_path, "oak_1.jpg", "oak_2.jpg", "elm.jpg")
+    said = group_sentences(find_samples(tmp_path, group="name"))
+    assert said[0] == "oak_1: 2 photographs of one sample (oak_1.jpg, oak_2.jpg)."
+    assert "--group none" in said[-1]
+    assert group_sentences(find_samples(tmp_path)) == []
+
+
+def test_grouped_by_time(tmp_path):
+    touch(tmp_path, *(f"{letter}.jpg" for letter in "abcdef"))
+    seconds = {"a": 100.0, "b": 104.0, "c": 300.0, "d": 95.0, "e": None, "f": None}
+    found = find_samples(tmp_path, group="time", gap=5.0, taken=lambda path: seconds[path.stem])
+    groups = [[photo.stem for photo in sample.photos] for sample in found]
+    assert groups == [["c"], ["d", "a", "b"], ["e"], ["f"]]
+
+
+def test_the_time_is_read_from_exif(tmp_path):
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif.get_ifd(34665)[36867] = "2024:05:06 07:08:09"
+    for name, tags in (("a.jpg", exif), ("b.jpg", Image.Exif())):
+        Image.new("RGB", (8, 8)).save(tmp_path / name, exif=tags)
+    exif.get_ifd(34665)[36867] = "2024:05:06 07:08:12"
+    Image.new("RGB", (8, 8)).save(tmp_path / "c.jpg", exif=exif)
+    first, later = taken_at(tmp_path / "a.jpg"), taken_at(tmp_path / "c.jpg")
+    assert later - first == 3.0
+    assert taken_at(tmp_path / "b.jpg") is None
+
+
+def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
+    from PIL import Image
+
+    exif = Image.Exif()
+    for name, second in (("c", 1), ("a", 6), ("b", 50), ("d", 13)):
+        exif.get_ifd(34665)[36867] = f"2024:05:06 07:08:{second:02}"
+        Image.new("RGB", (8, 8)).save(tmp_path / f"{name}.jpg", exif=exif)
+    Image.new("RGB", (8, 8)).save(tmp_path / "e.png")
+    found = find_samples(tmp_path, group="time", gap=8.0)
+    assert [[p.name for p in s.photos] for s in found] == [
+        ["b.jpg"],
+        ["c.jpg", "a.jpg", "d.jpg"],
+        ["e.png"],
+    ]
+    said = group_sentences(found)
+    assert said[0] == "c: 3 photographs of one sample (c.jpg, a.jpg, d.jpg)."
+    # What a file does not say is not the user's to read.
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", ["nothing", "a.jpg", "empty"])
+def test_what_holds_no_photographs_is_refused(tmp_path, name):
+    touch(tmp_path, "a.jpg")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MatcapError, match="give a folder"):
+        find_samples(tmp_path / name)

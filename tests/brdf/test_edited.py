@@ -1,5 +1,8 @@
-"""Map sets of which another program opened and saved a map."""
+"""Map sets that other programs edited."""
 
+from __future__ import annotations
+
+import json
 import struct
 import warnings
 
@@ -8,11 +11,16 @@ import pytest
 import torch
 from other_exr import write_other_exr
 
+from matcap.brdf.adjust import Adjustments, adjusted
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
+from matcap.brdf.integrate import integrate, integrate_periodic
 from matcap.errors import MatcapError
-from matcap.files.exr import read_exr
-from matcap.files.note import Note
-from matcap.files.rec709 import REC709
+from matcap.files.color import REC709
+from matcap.files.exr import read_exr, write_exr
+from matcap.files.names import Note
+
+# Map sets of which another program opened and saved a map.
+
 
 INFO = MapSetInfo("leather")
 
@@ -93,3 +101,142 @@ def test_primaries_of_another_program_are_converted(written):
     file.write_bytes(stored.replace(rec709, struct.pack("<8f", *[0.3] * 8)))
     with pytest.raises(MatcapError, match="no colour space"):
         read_mapset(folder)
+
+
+# Heights of slopes in closed form, and normal files that were edited.
+
+
+@pytest.mark.parametrize("normal", ["gl", "dx"])
+def test_a_set_as_it_was_written_has_no_note(tmp_path, maps, normal):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"), normal=normal)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read_mapset(tmp_path)
+
+
+def painted(normals):
+    normals[5:15, 5:15] = (0.6, 0.0, 0.8)
+    return normals
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (painted, "differs from the height at 1[0-9]"),
+        (lambda normals: normals[:10], "is 31 x 10 texels, not 31 x 20"),
+        (lambda normals: normals[..., 0], "differs from the height at 100"),
+        (lambda normals: normals * np.array([1, -1, 1]), "differs from the height at"),
+    ],
+)
+def test_an_edited_normal_is_told(tmp_path, maps, change, said):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    file = tmp_path / "moss_normal.exr"
+    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
+    with pytest.warns(Note, match=f"moss_normal.exr: {said}.*it is not read"):
+        read_mapset(tmp_path)
+
+
+def test_normals_that_are_none_are_told(tmp_path, maps):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    broken = np.full((20, 31, 3), np.nan, np.float32)
+    write_other_exr(tmp_path / "moss_normal.exr", {"RGB": broken})
+    with pytest.warns(Note, match="has values that are not finite"):
+        read_mapset(tmp_path)
+
+
+def test_a_set_without_a_normal_file_is_whole(tmp_path, maps):
+    file = write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    document = json.loads(file.read_text())
+    del document["maps"]["normal"]
+    file.write_text(json.dumps(document))
+    read_mapset(tmp_path)
+
+
+@pytest.mark.parametrize("style", ["gl", "dx"])
+def test_what_was_painted_is_read_where_it_is_asked_for(tmp_path, maps, style):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"), normal=style)
+    file = tmp_path / "moss_normal.exr"
+    normals = read_exr(file).pixels
+    normals[5:15, 5:15] = (0.36, 0.48 if style == "gl" else -0.48, 0.8)
+    write_exr(file, 2.0 * normals, half=False)  # of no unit length
+    found, _ = read_mapset(tmp_path, normals="file")
+    assert torch.allclose(found.normal[:, 10, 10], torch.tensor([0.36, 0.48, 0.8]), atol=1e-3)
+    assert torch.allclose(found.normal[:, :4], maps.normal[:, :4], atol=2e-3)
+    assert torch.equal(found.crop(5, 5, 4, 4).normal[:, 0, 0], found.normal[:, 5, 5])
+
+
+def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    found, _ = read_mapset(tmp_path, normals="file")
+    steeper = adjusted(found, Adjustments(relief=2.0)).normal
+    assert torch.allclose(
+        steeper[:2] / steeper[2:], 2.0 * found.normal[:2] / found.normal[2:], atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda normals: normals[:10], "is 31 x 10 texels"),
+        (lambda normals: normals[..., 0], "has 1 channels"),
+        (lambda normals: -normals, "normals of 620 texels do not face upwards"),
+        (lambda normals: 0.0 * normals, "normals of 620 texels"),
+    ],
+)
+def test_what_is_no_normal_is_refused_where_it_is_asked_for(tmp_path, maps, change, said):
+    write_mapset(maps, tmp_path, MapSetInfo("moss"))
+    file = tmp_path / "moss_normal.exr"
+    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
+    with pytest.raises(MatcapError, match=f"moss_normal.exr.*{said}"):
+        read_mapset(tmp_path, normals="file")
+
+
+def waves(rows, columns, texel):
+    """(H, W) height and its (2, H, W) slopes, y upwards, of a few waves that repeat."""
+    y, x = np.mgrid[:rows, :columns].astype(np.float64)
+    height, slopes = np.zeros((rows, columns)), np.zeros((2, rows, columns))
+    for size, across, down, phase in ((1.0, 2, 0, 0.1), (0.5, 3, -2, 1.0), (0.3, 0, 5, 2.0)):
+        wx, wy = 2.0 * np.pi * across / columns, 2.0 * np.pi * down / rows
+        angle = wx * x + wy * y + phase
+        height += size * np.sin(angle)
+        slopes += size * np.cos(angle) * np.array([wx, -wy])[:, None, None] / texel
+    return height, slopes
+
+
+@pytest.mark.parametrize(("rows", "columns", "texel"), [(32, 48, 1.0), (33, 25, 0.01)])
+def test_a_surface_comes_back_from_its_slopes(rows, columns, texel):
+    height, slopes = waves(rows, columns, texel)
+    found = integrate_periodic(slopes, texel)
+    np.testing.assert_allclose(found[0], height, atol=1e-5)
+    assert found.dtype == np.float32
+
+
+def test_means_and_curl_that_no_repeating_surface_has_are_left_out():
+    height, slopes = waves(32, 32, 1.0)
+    tilted = slopes + np.array([0.3, -0.2])[:, None, None]
+    rolling = np.stack([slopes[1], -slopes[0]])  # the slopes' field turned: all curl
+    np.testing.assert_allclose(integrate_periodic(tilted)[0], height, atol=1e-5)
+    np.testing.assert_allclose(integrate_periodic(rolling), 0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize(("height", "width"), [(64, 96), (63, 97)])
+def test_steps_of_a_height_give_it_back_to_the_finest_wave(height: int, width: int) -> None:
+    noise = np.random.default_rng(0).standard_normal((height, width)).astype(np.float32)
+    found = integrate(np.diff(noise, axis=1), np.diff(noise, axis=0))
+    expected = noise - noise.mean()
+    inner = (slice(4, -4), slice(4, -4)) if height % 2 else (slice(None), slice(None))
+    assert np.abs((found - expected)[inner]).max() < (0.2 if height % 2 else 1e-3)
+
+
+def test_what_no_height_has_is_left_out() -> None:
+    """A slope field that turns in circles belongs to no surface."""
+    y, x = np.meshgrid(np.linspace(-4, 4, 64), np.linspace(-4, 4, 64), indexing="ij")
+    swirl = np.exp(-(np.square(x) + np.square(y))).astype(np.float32)
+
+    def between(across: np.ndarray, down: np.ndarray) -> np.ndarray:
+        columns, rows = across[:, 1:] + across[:, :-1], down[1:] + down[:-1]
+        return integrate(columns.astype(np.float32), rows.astype(np.float32))
+
+    turned = between(-y * swirl, x * swirl)
+    downhill = between(-x * swirl, -y * swirl)
+    assert np.abs(turned).max() < 0.05 * np.abs(downhill).max()

@@ -18,9 +18,11 @@ from matcap.capture.bracket import (
     way_of_camera,
 )
 from matcap.errors import MatcapError
-from matcap.files.srgb import srgb_decode, srgb_encode
-from matcap.photo.photo import Photo
-from matcap.photo.tone import ToneCurve
+from matcap.files.color import (
+    srgb_decode,
+    srgb_encode,
+)
+from matcap.photo.photo import Photo, ToneCurve
 
 WIDTH, HEIGHT, FOV = 640, 480, 66.0
 CURVE = ToneCurve(1.3, 0.57)

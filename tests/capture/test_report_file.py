@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from matcap.capture.report_file import read_report
+from matcap.capture.report import read_report
 
 OLD = {
     "format": "matcap report",

@@ -1,15 +1,34 @@
-"""`matcap capture`: its files, its messages, its exit codes; the capture itself is a fake."""
+"""`matcap capture` and its report."""
 
 import errno
+import filecmp
 import json
 import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+from materials import a_material
 from PIL import Image
+from reference.formats import keys
+from report_schema import check_report
 
 from matcap.brdf.folder import mapset_files, read_mapset
-from matcap.capture import outputs, preview, report
+from matcap.capture import preview, report
+from matcap.capture import report as outputs
+from matcap.capture.report import report as report_report
+from matcap.capture.report import warnings, write_report
+from matcap.capture.result import Tuning
+from matcap.capture.settings import DECODER_STAGES, EXEMPLAR_STAGES, CaptureClock, CaptureSettings
 from matcap.errors import UsageError
+from matcap.files.exr import read_exr
+from matcap.flash.geometry import FlashSetup
+from matcap.photo.inspect import inspect_photo
+
+# `matcap capture`: its files, its messages, its exit codes; the capture itself is a fake.
 
 
 @pytest.fixture
@@ -244,3 +263,140 @@ def test_a_width_in_centimetres_reaches_the_capture(matcap, pipeline, photo, out
     assert call.settings.width_cm == 20.0 and call.settings.millimetres_per_unit == 100.0
     notes = json.loads((out / "leather" / "report.json").read_text())["notes"]
     assert not any("how large" in note for note in notes)
+
+
+# What the report warns of, and that it is always JSON.
+
+
+STAGES = {**EXEMPLAR_STAGES, **DECODER_STAGES}
+
+
+@pytest.fixture
+def captured(pipeline, photo):
+    """A result without anything to warn of."""
+    return _captured(pipeline, photo, CaptureSettings(detail=96))
+
+
+def _captured(pipeline, photo, settings):
+    shown = pipeline.load_photo(photo)
+    return pipeline.capture_photo(shown, settings, clock=CaptureClock(None, STAGES))
+
+
+def test_a_good_capture_has_no_warnings(captured):
+    assert list(warnings(captured)) == []
+
+
+def test_each_warning_says_what_to_do(captured):
+    def warned(tilt=(0.0, 0.0), **photographed):
+        photo = replace(captured.photo, **photographed)
+        seen = replace(captured.measurements, photograph=inspect_photo(photo, tilt))
+        return list(warnings(replace(captured, photo=photo, measurements=seen)))
+
+    (said,) = warned(clipped=np.ones_like(captured.photo.clipped))
+    assert "100.0 % of the photograph is clipped. Lower the exposure" in said
+    (said,) = warned(flash_fired=False)
+    assert "did not fire" in said and "with the flash switched on" in said
+    (said,) = warned(tilt=(0.0, -0.25))
+    assert "tilted by 14 degrees" in said and "until it is parallel" in said
+
+
+def test_its_keys_are_those_of_the_reference_and_of_the_schema(captured, tmp_path):
+    write_report(captured, tmp_path / "report.json")
+    check_report(tmp_path / "report.json")
+    assert set(report_report(captured)) == keys("matcap.capture.report", "Keys")
+
+
+def test_angles_are_in_degrees(captured):
+    result = captured
+    tilted = replace(result.material, setup=FlashSetup(tilt=(np.pi / 36, -np.pi / 18)))
+    camera = report_report(replace(result, material=tilted))["camera"]
+    assert camera["tilt_degrees"] == pytest.approx([5.0, -10.0])
+
+
+def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
+    went = Tuning(((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
+    odd = replace(captured, tuning=went)
+    write_report(odd, tmp_path / "report.json")
+
+    def refuse(name: str) -> None:
+        pytest.fail(f"{name} is not JSON")
+
+    found = json.loads(Path(tmp_path / "report.json").read_text(), parse_constant=refuse)
+    assert found["tuning"]["error"] is None
+    assert found["tuning"]["error_over_time"][0] == {"seconds": 0.0, "step": 1, "error": None}
+
+
+def test_the_effort_is_that_of_the_settings(captured):
+    effort = {"preset": "standard", "steps": 0, "detail": 96}
+    assert report_report(captured)["effort"] == effort
+    decoder = replace(captured, settings=replace(captured.settings, generator="decoder", steps=5))
+    assert report_report(decoder)["effort"] == effort | {
+        "steps": 5,
+        "windows_per_step": 3,
+        "matched": True,
+    }
+
+
+def test_a_time_limit_that_overrides_the_preset_is_noted(captured):
+    usual = report_report(captured)["notes"]
+    assert not any("preset" in note for note in usual)
+    limited = replace(captured, settings=CaptureSettings(preset="draft", time_limit=9.0))
+    values = report_report(limited)
+    assert values["effort"]["detail"] == 512
+    (note,) = (note for note in values["notes"] if note not in usual)
+    assert "the preset has no effect: the limit determines the texels" in note
+    decoder = CaptureSettings(generator="decoder", time_limit=9.0)
+    (note,) = (
+        note
+        for note in report_report(replace(captured, settings=decoder))["notes"]
+        if note not in usual
+    )
+    assert "at most 800 steps" in note
+    counted = replace(captured, settings=replace(decoder, steps=5))
+    assert report_report(counted)["notes"] == usual
+
+
+# The commands on a real, if random, material, in processes of their own.
+
+
+def run(folder, *arguments):
+    command = [sys.executable, "-c", "from matcap.cli.main import run; run()", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a small material."""
+    folder = tmp_path_factory.mktemp("material")
+    a_material("noise", across=512).save(folder / "noise.matcap")
+    return folder
+
+
+def test_the_same_request_in_two_processes_gives_the_same_files(folder, matcap):
+    words = ("--size", "96x40", "--seed", "7", "--png", "-o")
+    assert matcap("synth", folder / "noise.matcap", *words, folder / "first").code == 0
+    said = run(folder, "synth", "noise.matcap", *words, "second")
+    assert said.returncode == 0, said.stderr
+    files = sorted(f.name for f in (folder / "first").iterdir())
+    assert len(files) == 12
+    for name in files:
+        assert filecmp.cmp(folder / "first" / name, folder / "second" / name, shallow=False)
+
+
+def test_a_command_that_read_pictures_ends_without_a_word_of_leaks(folder, matcap):
+    """Python is not to skip at its end what OpenImageIO then would miss."""
+    made = matcap("synth", folder / "noise.matcap", "--size", "32x32", "-o", folder / "small")
+    assert made.code == 0
+    said = run(folder, "relight", "small", "--quiet", "--size", "64x48", "-o", "small.png")
+    assert (said.returncode, said.stderr) == (0, "")
+
+
+def test_a_material_relights_without_a_map_set(matcap, folder):
+    material, picture = folder / "noise.matcap", folder / "a.exr"
+    assert matcap("relight", material, "--size", "40x30", "-o", picture).code == 0
+    assert read_exr(picture).pixels.shape == (30, 40, 3)
+
+
+def test_a_material_is_for_everybody_whom_other_files_are_for(folder):
+    (folder / "other").touch()
+    assert (folder / "noise.matcap").stat().st_mode == (folder / "other").stat().st_mode

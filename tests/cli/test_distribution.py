@@ -1,9 +1,10 @@
-"""Wheel and sdist: what is in them, and that the wheel works away from the source tree.
+"""The distribution: what is installed, its public names and its self-test."""
 
-The laboratory is a distribution of its own, in lab/.
-"""
-
+import importlib
+import inspect
+import json
 import os
+import pickle
 import re
 import shutil
 import subprocess
@@ -11,9 +12,20 @@ import sys
 import tarfile
 import zipfile
 from importlib.machinery import EXTENSION_SUFFIXES
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+
+import matcap
+from matcap.errors import MatcapError, UsageError
+from matcap.space.prior import store
+
+# Wheel and sdist: what is in them, and that the wheel works away from the source tree.
+#
+# The laboratory is a distribution of its own, in lab/.
+
 
 ROOT = Path(__file__).parents[2]
 # What git tracks in the package and setuptools would leave out unless told.
@@ -145,3 +157,149 @@ def test_nothing_of_the_product_or_of_its_tests_imports_the_laboratory():
     files = [*(ROOT / "matcap").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
     imported = re.compile(r"^\s*(from|import) matcap_lab", re.MULTILINE)
     assert [file.name for file in files if imported.search(file.read_text("utf-8"))] == []
+
+
+# `import matcap`: the names it promises, and no others.
+
+
+NAMES = {
+    "Field", "MapSet", "MapSetInfo", "MatcapError", "Material", "__version__", "capture",
+    "load_photo", "read_mapset", "relight", "write_mapset",
+}  # fmt: skip
+
+
+def test_public_names_are_a_promise():
+    assert set(matcap.__all__) == NAMES
+    assert set(dir(matcap)) == NAMES
+
+
+@pytest.mark.parametrize("name", sorted(NAMES - {"__version__"}))
+def test_every_name_is_there_and_callable(name):
+    assert callable(getattr(matcap, name))
+
+
+def test_unknown_names_are_attribute_errors():
+    with pytest.raises(AttributeError, match="'captrue'"):
+        _ = matcap.captrue
+
+
+def test_every_module_is_imported_by_its_name():
+    """`import matcap.a.b as c` looks for a in matcap: nothing else may stand in its place."""
+    program = """
+import pkgutil, sys
+import matcap
+names = [one.name for one in pkgutil.walk_packages(matcap.__path__, "matcap.")]
+for name in names:
+    if name.startswith("matcap.export.scripts.") or name.endswith(".kernel"):
+        continue  # run by other programs; loaded by ctypes
+    try:
+        __import__(name)
+    except ModuleNotFoundError as missing:
+        if missing.name.startswith("matcap"):
+            raise
+        continue  # an extra
+    known = {}
+    exec(f"import {name} as it", known)
+    assert known["it"] is sys.modules[name], name
+print(len(names))
+"""
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    assert int(found.stdout) > 300
+
+
+@pytest.mark.parametrize(("name", "first"), [("capture", "path"), ("relight", "source")])
+def test_packages_that_are_called_say_how_and_are_sent_to_processes(name, first):
+    package = getattr(matcap, name)
+    assert package is importlib.import_module(f"matcap.{name}")
+    assert next(iter(inspect.signature(package).parameters)) == first
+    assert pickle.loads(pickle.dumps(package)) is package
+
+
+def test_capture_hands_its_settings_on(pipeline, photo):
+    material = matcap.capture(photo, preset="draft", detail=256, fov=50.0)
+    assert material.name == "leather"
+    (call,) = pipeline.calls
+    assert (call.long_side, call.fov, call.settings.preset) == (256, 50.0, "draft")
+
+
+def test_an_unknown_setting_or_a_wrong_path_is_a_usage_error(photo):
+    with pytest.raises(UsageError, match="'stps'; did you mean 'steps'"):
+        matcap.capture(photo, stps=3)
+    for paths in ([[photo, photo]], [photo, None]):
+        with pytest.raises(UsageError, match="separate arguments"):
+            matcap.capture(*paths)
+    with pytest.raises(UsageError, match="Material.load"):
+        matcap.relight("leather.matcap")
+
+
+def test_several_photographs_of_one_piece_are_read_together(monkeypatch):
+    read = []
+
+    def captured(path, settings, others):
+        read.extend([path, *others, settings.union])
+        return SimpleNamespace(material="one")
+
+    monkeypatch.setattr("matcap.capture.pipeline.capture_file", captured)
+    assert matcap.capture("a.dng", "b.dng", "c.dng", union=True) == "one"
+    assert read == ["a.dng", "b.dng", "c.dng", True]
+
+
+def test_a_union_of_one_photograph_is_refused(photo):
+    with pytest.raises(matcap.MatcapError, match="this needs several photographs"):
+        matcap.capture(photo, preset="instant", union=True)
+
+
+# `matcap doctor`: what it finds, and that it finds what is wrong.
+
+
+def test_a_sound_installation(matcap):
+    said = matcap("doctor", "--json")
+    report = json.loads(said.out)
+    assert report["self_test"]["fault"] is None and report["compiled"]
+    assert (said.code, said.err, report["healthy"]) == (0, "", True)
+    assert {"torch", "numpy", "typer"} <= set(report["packages"])
+    assert report["devices"][0] == "cpu"
+
+
+@pytest.fixture
+def without(monkeypatch):
+    """Make a package one that is not installed."""
+
+    def hide(hidden):
+        def found(name):
+            if name == hidden:
+                raise PackageNotFoundError(name)
+            return version(name)
+
+        monkeypatch.setattr("matcap.cli.doctor.version", found)
+
+    return hide
+
+
+def test_the_text_names_the_command_that_installs_a_missing_extra(matcap, without):
+    without("pillow-heif")
+    said = matcap("doctor", "--no-self-test")
+    assert said.code == 0  # extras are no need
+    assert 'not installed: pip install "matcap[heic]"' in said.out
+    assert "All is well." in said.out
+
+
+def test_a_missing_need_is_a_fault(matcap, without):
+    without("rawpy")
+    said = matcap("doctor")
+    assert said.code == 3
+    assert "rawpy" in said.out
+    assert "MISSING" in said.out
+
+
+@pytest.mark.parametrize("fault", [MatcapError("the prior is damaged"), RuntimeError("no memory")])
+def test_a_fault_of_the_self_test_is_reported(matcap, monkeypatch, fault):
+    def broken(path=None):
+        raise fault
+
+    monkeypatch.setattr(store, "load_prior", broken)
+    said = matcap("doctor", "--json")
+    report = json.loads(said.out)
+    assert (said.code, report["healthy"]) == (3, False)
+    assert str(fault) in report["self_test"]["fault"]

@@ -1,18 +1,29 @@
-"""The command line as a process: fast to start, honest exit codes, nothing but sentences."""
+"""The command line's start, habits and exit codes."""
 
+import os
 import random
+import re
 import resource
+import shlex
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 import signals
+import typer.main
+from materials import a_material
 
 import matcap as package
 from matcap.cli import main as main_module
+from matcap.cli.main import app
 from matcap.errors import MatcapError, UsageError
+from matcap.files import settings as values
+
+# The command line as a process: fast to start, honest exit codes, nothing but sentences.
+
 
 HEAVY = ("torch", "cv2", "rawpy", "OpenEXR", "OpenImageIO", "safetensors", "tifffile", "numpy")
 
@@ -143,3 +154,260 @@ def test_a_signal_leaves_nothing_torn_and_no_traceback(tmp_path, command, number
     signals.prepare(tmp_path)
     struck = signals.strike(command, tmp_path, number, random.uniform(*between))
     assert signals.faults(command, tmp_path, struck) == [], struck.said
+
+
+# What every command has in common: help, colour, completion, quiet and verbose.
+
+
+START = "from matcap.cli.main import run; run()"
+
+
+def leaves(command, words=()):
+    """(words, command) of every command that does something."""
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield words, command
+        return
+    for name, one in inner.items():
+        yield from leaves(one, (*words, name))
+
+
+LEAVES = dict(leaves(typer.main.get_command(app)))
+# What only looks prints its results in any case.
+TALKING = {"doctor", "inspect"}
+
+
+def habits_run(*arguments, **environment):
+    place = os.environ | environment
+    command = [sys.executable, "-c", START, *arguments]
+    return subprocess.run(command, env=place, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("words", LEAVES, ids=" ".join)
+def test_every_command_and_option_has_help(words):
+    command = LEAVES[words]
+    assert command.help
+    for parameter in command.params:
+        if parameter.name != "help":
+            assert getattr(parameter, "help", None), (words, parameter.name)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [words for words in LEAVES if words[0] not in TALKING],
+    ids=" ".join,
+)
+def test_commands_that_write_can_be_quiet(words):
+    options = {option for parameter in LEAVES[words].params for option in parameter.opts}
+    assert {"-q", "--quiet"} <= options
+
+
+@pytest.mark.parametrize(
+    "environment", [{"NO_COLOR": "1", "FORCE_COLOR": "1"}, {"TERM": "dumb"}], ids=str
+)
+def test_no_colour_where_none_is_wanted(environment):
+    said = habits_run("export", "--help", **environment)
+    assert said.returncode == 0
+    assert "\x1b[3" not in said.stdout
+    assert "\x1b[1;3" not in said.stdout
+
+
+def test_dumb_terminals_get_plain_lines(matcap, pipeline, photo, tmp_path, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes it for a terminal
+    monkeypatch.setenv("TERM", "dumb")
+    said = matcap("capture", photo, "-o", tmp_path / "out", "--size", "16")
+    assert said.code == 0
+    assert "index" in said.err
+    assert "\x1b" not in said.err
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"), [("matcap ex", "export"), ("matcap export --wor", "--workflow")]
+)
+def test_the_shell_completes(typed, offered):
+    said = habits_run(
+        _MATCAP_COMPLETE="complete_bash",
+        COMP_WORDS=typed,
+        COMP_CWORD=str(len(typed.split()) - 1),
+    )
+    assert offered in said.stdout.split()
+
+
+def test_verbose_tells_the_cost_and_nothing_else(matcap):
+    quiet, verbose = matcap("doctor", "--no-self-test"), matcap("-v", "doctor", "--no-self-test")
+    assert verbose.out == quiet.out
+    assert quiet.err == ""
+    assert verbose.err.startswith("matcap ")
+    assert " s" in verbose.err
+
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+SHELL = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", README, re.DOTALL)
+    for line in block.split("\n")
+]
+
+
+def test_the_two_first_lines_are_one_line_each():
+    main_job, tests = (line for line in SHELL if line.startswith("python3 -m venv"))
+    photo = re.search(r"matcap capture (\S+)", main_job)[1]
+    assert (ROOT / photo).is_file()
+    assert ".venv/bin/pytest" in tests
+
+
+def test_ci_runs_exactly_the_test_line():
+    (line,) = (line for line in SHELL if ".venv/bin/pytest" in line)
+    assert line in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_python_names_exist():
+    names = set(re.findall(r"\bmatcap\.([A-Za-z_]+)", README)) - {"git"}
+    assert names <= set(package.__all__)
+
+
+def test_pictures_exist():
+    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
+        assert (ROOT / picture).is_file()
+
+
+# What makes a line quick; the last of an option's values counts.
+QUICK = {
+    "capture": ("--preset", "instant", "--detail", "160", "--size", "64"),
+    "batch": ("--preset", "instant", "--detail", "160", "--size", "64", "-j", "1"),
+    "synth": ("--size", "512x64"),
+    "relight": ("--size", "64x48"),
+    "export": ("--size", "64"),
+}
+
+
+def test_every_line_runs_in_its_order(matcap, tmp_path, monkeypatch):
+    """As written, but quickly; pages are only written, for nobody closes the others."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    lines = [line.partition("matcap ")[2] for line in SHELL if re.search(r"(^|/bin/)matcap ", line)]
+    lines = [line for line in lines if not line.startswith("view") or "--html" in line]
+    assert lines[0].startswith("capture examples/photos/leather.dng")
+    for line in lines:
+        words = shlex.split(line)
+        said = matcap(*words, *QUICK.get(words[0], ()))
+        assert said.code == 0, (line, said.err)
+    assert "Verdict" in (tmp_path / "materials" / "index.html").read_text()
+
+
+def test_the_environment_is_activated_before_it_is_used():
+    used = next(index for index, line in enumerate(SHELL) if line.startswith("matcap "))
+    assert ". .venv/bin/activate" in SHELL[:used]
+
+
+# Every number of the command line is finite and in range before any work; counts are bounded.
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """The current folder, with a folder of one material."""
+    (tmp_path / "a").mkdir()
+    a_material("a").save(tmp_path / "a" / "a.matcap")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+HUGE = "9" * 23
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("blend", "a/a.matcap", "a/a.matcap", "-t", "0:1:99999999"), "more than 256 steps"),
+        (("blend", "a/a.matcap", "a/a.matcap", "-t", f"0:1:{HUGE}"), "neither a share"),
+        (("blend", "a/a.matcap", "a/a.matcap", "--seed", HUGE), "is out of range"),
+        (("synth", "a", "--seed", HUGE), "is out of range"),
+        (("synth", "a", "--seed", "1e3"), "is not a whole number"),
+        (("relight", "a", "--seed", HUGE), "is out of range"),
+        (("view", "a", "--seed", HUGE), "is out of range"),
+        (("sample", "--seed", HUGE), "is out of range"),
+        (("sample", "--seed", str(2**63 - 1), "-n", "2"), "is out of range"),
+        (("export", "a", "--to", "usd", "--seed", HUGE), "is out of range"),
+        (("relight", "a", "--light", "1e300,0,1"), "is out of range"),
+        (("relight", "a", "--light", "0,0,1e-300"), "is out of range"),
+        (("relight", "a", "--light", "0,0,1,1e300"), "is out of range"),
+        (("relight", "a", "--light", "nan,0,1"), "is not a light"),
+        (("relight", "a", "--tolerance", "inf"), "is not from 0 to 1"),
+        (("relight", "a", "--tolerance", "nan"), "is not from 0 to 1"),
+        (("relight", "a", "--tolerance", "-1"), "is not from 0 to 1"),
+        (("relight", "a", "--size", "99999999"), "a side of more than 32768"),
+        (("relight", "a", "--sheet", "100000x100000"), "a side of more than 64"),
+        (
+            ("relight", "a", "--animate", "turntable", "--frames", "99999999", "-o", "a.gif"),
+            "10000",
+        ),
+        (("relight", "a", "--size", "32768", "--sheet", "64x64"), "GB"),
+        (("export", "a", "--to", "usd", "--size", "65536"), "GB"),
+        (("synth", "a", "--size", "1000000000", "-j", "1"), "are needed but the disk has"),
+        (("synth", "a", "--scheduler", "nonsense"), "'nonsense' is not an address"),
+        (("sample", "-t", "nan"), "is not from 0 to 1"),
+        (("view", "a", "--html", "a.html", "--tile", "99999999"), "2048"),
+        (("inspect", "a", "--fov", "nan"), "is not from 1 to 170"),
+        (("inspect", "a.matcap", "--together"), "--together: there are no photographs"),
+        (("capture", "a.jpg", "--together"), "--together: there is one photograph"),
+        (
+            ("capture", "a.jpg", "--no-drawing"),
+            "--no-drawing: only a decoder has a drawing among its inputs",
+        ),
+    ],
+)
+def test_numbers_out_of_range_are_refused_before_any_work(matcap, place, words, said):
+    before, began = sorted(place.rglob("*")), time.monotonic()
+    found = matcap(*words)
+    assert found.code in (2, 3) and said in " ".join(found.err.replace("│", " ").split())
+    assert sorted(place.rglob("*")) == before
+    assert time.monotonic() - began < 20.0
+
+
+def test_options_are_looked_at_before_a_folder_that_is_there(matcap, place):
+    assert matcap("synth", "a", "--size", "16", "-j", "1", "-o", "more", "-q").code == 0
+    for wrong in (
+        ("--scheduler", "nonsense"), ("--adjust", "relief=x"), ("--udim", "11x1"),
+        ("--tile", "x", "--region", "0,0,17,16"), ("--mask", "none.png"), ("--export", "unrael"),
+    ):  # fmt: skip
+        said = matcap("synth", "a", "--seed", "2", "-o", "more", "-j", "1", *wrong)
+        assert said.code == 2 and "exists" not in said.err, wrong
+
+
+def test_synth_takes_the_folder_that_others_take(matcap, place):
+    words = ("--size", "16", "-j", "1", "-q")
+    assert matcap("synth", "a", *words).code == 0
+    assert (place / "a_16x16_seed0" / "a.json").is_file()
+    (place / "empty").mkdir()
+    said = matcap("synth", "empty", *words)
+    assert said.code == 3 and "no map set and no material in this folder" in said.err
+    said = matcap("synth", "a_16x16_seed0", *words)
+    assert said.code == 3 and "this is a map set, from which no more can be synthesised" in said.err
+
+
+def test_several_lights_add_up(matcap, place):
+    import numpy as np
+
+    from matcap.files.exr import read_exr
+
+    for name, lights in {"both": ("left", "top"), "left": ("left",), "top": ("top",)}.items():
+        words = [word for light in lights for word in ("--light", light)]
+        said = matcap(
+            "relight", "a", *words, "--effects", "all", "--size", "32", "-o", f"{name}.exr"
+        )
+        assert said.code == 0, said.err
+    both, left, top = (read_exr(place / f"{name}.exr").pixels for name in ("both", "left", "top"))
+    off = np.abs(both - left - top).mean()  # each light by itself has parallax and shadows
+    assert off < 0.02 * both.mean()
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e400", "x", ""])
+def test_no_number_is_none(text):
+    with pytest.raises(ValueError, match="is not"):
+        values.number(0.0, 1.0)(text)
+
+
+@pytest.mark.parametrize("seed", [-(2**63), 2**63 - 1, 0])
+def test_seeds_of_64_bits_are_seeds(seed):
+    assert values.seed(str(seed)) == seed

@@ -3,13 +3,28 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.appearance import DIMENSIONS, LARGEST, Appearance, Basis, offsets, padded
-from matcap.example.blend import CHANNELS, NODES
-from matcap.example.correction import REACH, SUBPASSES, Places, margin
-from matcap.example.features import PLANES, FeatureMap
-from matcap.example.grids import COST_BITS
+from matcap.example.blend import (
+    CHANNELS,
+    NODES,
+)
+from matcap.example.candidates import (
+    DIMENSIONS,
+    LARGEST,
+    PLANES,
+    Appearance,
+    Basis,
+    FeatureMap,
+    offsets,
+    padded,
+)
+from matcap.example.coordinates import (
+    REACH,
+    SUBPASSES,
+    Places,
+    margin,
+)
+from matcap.example.index import COST_BITS, Level
 from matcap.example.lattice import Phases
-from matcap.example.lookup import Level
 
 DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _AROUND = ((0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))

@@ -1,4 +1,4 @@
-"""The field by example is one function of texel and seed, made of the exemplar's own pieces."""
+"""The field by example is a pure function of place."""
 
 import random
 import subprocess
@@ -9,16 +9,20 @@ import numpy as np
 import plain_loops as plain
 import pytest
 import torch
-from exemplars import PERIODS, an_example, blobs, ordered
+from exemplars import PERIODS, a_coloured_example, an_example, blobs, exemplar, ordered
+from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 
 from matcap.errors import UsageError
-from matcap.example.coordinates import coordinates
+from matcap.example.blend import BAND_LEVELS, BANDS, ExemplarBands, Nodes, Votes, bands_of, blended
+from matcap.example.candidates import DIMENSIONS, LARGEST, LIMIT, PLANES, TAPS, Basis, project
+from matcap.example.coordinates import coordinates, correct
 from matcap.example.example import Example, coarsened
-from matcap.example.index import build_index
-from matcap.example.lookup import prepare
-from matcap.field.blocks import Grid
-from matcap.field.field import read_source
-from matcap.field.plane import Rectangle
+from matcap.example.index import COST_BITS, PENALTY_BITS, Frame, Level, build_index, prepare
+from matcap.field.plane import Grid, Rectangle
+from matcap.field.source import read_source
+
+# The field by example is one function of texel and seed, made of the exemplar's own pieces.
+
 
 _HALF = 0.4
 _KINDS = {
@@ -238,6 +242,224 @@ def test_the_plain_form_is_the_field(example, monkeypatch):
 
 
 def test_it_needs_no_torch():
-    modules = "matcap.example.exemplar, matcap.synth.fields, matcap.synth.stream"
+    modules = "matcap.example.exemplar, matcap.synth.request, matcap.synth.stream"
     program = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+
+
+# No integer of the field by example can overflow: by bounds, and at them, in a million draws.
+#
+# Every reference is in int64, where nothing of this could.
+
+
+INT16, INT32 = 2**15 - 1, 2**31 - 1
+SIDE = 1024  # places of a draw: a million of them
+MOST_PRICE = 255**2 << PENALTY_BITS
+MOST_TURN = 2**15 >> PHASE_SHIFT
+
+
+def test_the_largest_sums_fit() -> None:
+    difference = 3 * 2 * LARGEST
+    assert difference <= INT16
+    seams = SIMILAR_TIMES * len(DIAGONALS) * DIMENSIONS * difference**2
+    assert seams + 2 * MOST_TURN**2 + MOST_PRICE < INT32
+    assert TAPS * LIMIT * LIMIT < 2**24  # exact in float32, too
+
+
+def extreme(draw: np.random.Generator) -> Level:
+    """A level whose every number is as large as it may be, in one direction or the other."""
+    ends = np.array([-LARGEST, LARGEST], np.int16)
+    return Level(
+        spacing=2,
+        frame=Frame(8, 8, SIDE - 9, SIDE - 9),
+        bits=0,
+        appearance=draw.choice(ends, (SIDE, SIDE, DIMENSIONS)),
+        similar_bits=1,
+        similar=draw.integers(8, SIDE - 10, (SIDE // 2, SIDE // 2, 2)).astype(np.int16),
+        placement_cost=np.full((SIDE >> COST_BITS, SIDE >> COST_BITS), MOST_PRICE, np.int32),
+        phases=draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2)),
+    )
+
+
+def test_a_million_costs_are_those_of_wider_integers() -> None:
+    draw = np.random.default_rng(0)
+    level = extreme(draw)
+    places = draw.integers(8, SIDE - 9, (SIDE, SIDE, 2)).astype(np.int32)
+    wanted = [
+        draw.choice(np.array([-3, 3], np.int32) * LARGEST, (SIDE, SIDE, DIMENSIONS))
+        for _ in DIAGONALS
+    ]
+    ordered = draw.choice(np.array([0, -(2**15)], np.int16), (SIDE, SIDE, 2))
+    found = plain._cost(level, places, wanted, ordered, similar=True)
+    x, y = places[..., 0], places[..., 1]
+    expected = np.full((SIDE, SIDE), MOST_PRICE, np.int64)
+    for (down, across), target in zip(DIAGONALS, wanted, strict=True):
+        there = level.appearance[y + 2 * down, x + 2 * across].astype(np.int64)
+        expected += SIMILAR_TIMES * np.square(3 * there - target).sum(-1)
+    assert level.phases is not None
+    half = level.phases[y, x] != ordered
+    expected += MOST_TURN**2 * half.sum(-1)
+    assert np.array_equal(found, expected)
+    assert 0.5 * INT32 < expected.max() < INT32  # draws come near the bound
+
+
+@pytest.mark.parametrize("form", [plain.correct, correct])
+def test_correction_at_the_bounds_stays_where_places_may_lie(form) -> None:
+    draw = np.random.default_rng(1)
+    level = extreme(draw)
+    places = draw.integers(8, SIDE - 9, (96, 96, 2)).astype(np.int16)
+    odd = np.arange(96) % 2 == 1
+    phases = draw.choice(np.array([0, -(2**15)], np.int16), (96, 96, 2))
+    found = form(places, level, odd, odd, 1, phases)
+    assert np.array_equal(found, plain.correct(places, level, odd, odd, 1, phases))
+    frame = level.frame
+    assert frame.left <= found[..., 0].min() and found[..., 0].max() <= frame.right
+    assert frame.top <= found[..., 1].min() and found[..., 1].max() <= frame.bottom
+
+
+@pytest.mark.parametrize("project", [project, plain.project])
+def test_the_largest_features_are_projected_exactly(project) -> None:
+    draw = np.random.default_rng(2)
+    basis = Basis(np.full((DIMENSIONS, TAPS), LIMIT, np.int8), 0, 1)
+    features = np.full((PLANES, 32, 48), LIMIT, np.int16)
+    assert np.all(project(features, basis) == LARGEST)
+    signs = draw.choice(np.array([-1, 1], np.int16), (PLANES, 32, 48))
+    # All sums are multiples of 127^2, and shifted down so far that none is clipped.
+    found = project(features * signs, Basis(basis.weights, 13, 1))
+    around = np.pad((features * signs).astype(np.int64), ((0, 0), (2, 2), (2, 2)), mode="symmetric")
+    sums = sum(around[:, y : y + 32, x : x + 48].sum(0) for y in range(5) for x in range(5))
+    assert np.array_equal(found[..., 0], (LIMIT * sums) >> 13)
+
+
+# Maps are the exemplar's where nothing was rearranged, and join where something was.
+
+
+SIZE = (300, 120)  # texels of the halves
+
+
+UNLIKE = (*[0.0] * (BANDS - 1), 1.0)
+
+
+def halves(piece, left, right, alike=UNLIKE):
+    """(8 or 6, H, W) maps of a field that shows a piece of an exemplar left of its middle, and
+    another right of it: what is added to a texel's place there; and how it is without blending.
+    """
+    area = Rectangle(0, 0, *SIZE)
+    shown = ExemplarBands(tuple(piece.stacked()), bands_of(piece), alike, 0)
+
+    def places(x, y):
+        side = np.where((x < SIZE[0] // 2)[..., None], left, right)
+        return np.stack([x, y], axis=-1) + side
+
+    votes = []
+    for band in range(BANDS):
+        one = Votes.of(band, area, None, 0, 1)
+        wanted = one.wanted
+        y, x = np.mgrid[: wanted.height, : wanted.width]
+        votes.append((one, one.predicted(places(x + wanted.x, y + wanted.y), area)))
+    y, x = np.mgrid[: area.height, : area.width]
+    own = places(x, y)
+    found = blended(shown, area, own.astype(np.int16), votes)
+    return found, piece.stacked()[:, own[..., 1], own[..., 0]]
+
+
+@pytest.mark.parametrize("example", [an_example, a_coloured_example, ordered])
+@pytest.mark.parametrize("period", [None, (176, 144), (48, 80)])
+def test_the_loop_is_the_plain_one_to_the_bit(example, period, monkeypatch):
+    area = Rectangle(-37, 501, 90, 70)
+    found = example().maps(3, area, period)
+    monkeypatch.setattr("matcap.example.example.blended", plain.blended)
+    assert np.array_equal(found, example().maps(3, area, period))
+
+
+def test_detail_is_blended_as_it_is_plainly(monkeypatch):
+    monkeypatch.setattr("matcap.example.example._GRID", 128)
+    example = Example.of(blobs())
+    area = Rectangle(11, -23, 90, 70)
+    found = example.maps(3, area, None)
+    monkeypatch.setattr("matcap.example.example.blended", plain.blended)
+    assert np.array_equal(found, example.maps(3, area, None))
+
+
+def test_bands_add_up_to_what_is_shown():
+    piece = blobs(75, 58)
+    bands = bands_of(piece)
+    logs = np.zeros((58, 75, 8), np.float32)
+    maps = piece.stacked()
+    logs[..., :6] = np.moveaxis(np.concatenate([np.log2(maps[:4]), maps[4:]]), 0, -1)
+    logs[..., :6] -= logs[..., :6].mean(axis=(0, 1))
+    here = np.stack(np.meshgrid(np.arange(75), np.arange(58)), axis=-1)
+    total = sum(band.scale * plain._band_at(band.values, band.bits + 1, 0, here) for band in bands)
+    # Bands are kept in 2^-15 of their largest value.
+    assert np.abs(total - logs).max() < 3e-4 * np.abs(logs).max(axis=(0, 1)).max()
+    smooth = plain.smooth(logs)
+    rest = sum(
+        plain._band_at(band.values, band.bits + 1, 0, here) * band.scale for band in bands[1:]
+    )
+    assert np.abs(rest - smooth).max() < 3e-4 * np.abs(logs).max()
+
+
+def test_what_is_not_rearranged_is_the_exemplar_to_the_bit():
+    found, plainly = halves(blobs(500, 300), (90, 80), (90, 80))
+    assert np.array_equal(found, plainly)
+    found, plainly = halves(blobs(500, 300), (90, 80), (150, 100))
+    changed = (found != plainly).any(axis=(0, 1))
+    far = 3 << (BANDS - 2)  # nodes reach one and a half steps of 2^(bands - 1) texels
+    middle = SIZE[0] // 2
+    assert changed[middle - 8 : middle + 8].all()
+    assert not changed[: middle - far].any() and not changed[middle + far :].any()
+
+
+def test_a_step_of_colour_and_height_becomes_a_slope():
+    step = np.where(np.arange(800) < 400, -0.7, 0.7)[None].repeat(300, axis=0)
+    piece = exemplar(np.stack([step] * 4))
+    found, plainly = halves(piece, (90, 80), (400, 80))
+    for index in (0, 3, 5):
+        across = np.abs(np.diff(found[index][60])).max()
+        assert across < 0.08 * np.abs(np.diff(plainly[index][60])).max()
+        ends = found[index][60, [0, -1]]
+        assert np.array_equal(ends, plainly[index][60, [0, -1]])
+
+
+def test_contrast_is_kept_where_pieces_meet():
+    """Of unrelated pieces: their mean has seven tenths of it. And none is added to related ones."""
+    piece, seam = blobs(900, 400), slice(SIZE[0] // 2 - 2, SIZE[0] // 2 + 2)
+
+    def kept(alike):
+        found, plainly = halves(piece, (100, 100), (431, 217), alike)
+        return np.array([found[i][:, seam].std() / plainly[i][:, seam].std() for i in range(5)])
+
+    assert (kept(UNLIKE) > 0.92).all() and (kept((1.0,) * BANDS) < 0.9).all()
+    for example, low, high in ((an_example(), 0.1, 0.4), (ordered(), 0.7, 1.0)):
+        found = example._ready.shown.correlations
+        assert low < np.mean(found[:4]) < high and found[-1] == 1.0
+
+
+def test_seams_cast_no_steeper_steps_than_the_exemplar_has():
+    for example in (an_example(), ordered()):
+        height = example.maps(2, Rectangle(0, 0, 300, 300), None)[5]
+        own = example.exemplar.height[0]
+        for axis in (0, 1):
+            steps, usual = (np.abs(np.diff(one, axis=axis)) for one in (height, own))
+            assert np.quantile(steps, 0.999) < 1.15 * np.quantile(usual, 0.999)
+
+
+@pytest.mark.parametrize("period", [None, 16, 48, 80, 112, 2**40])
+@pytest.mark.parametrize("band", range(BANDS))
+def test_nodes_repeat_with_the_field_and_weigh_one(band, period):
+    spacing, unit = 1 << band, 1 << BAND_LEVELS[band]
+    far = 2**39 if period is None else 5 * period
+    axis = Nodes.of(-far, 200, spacing, unit, period)
+    assert np.abs(axis.weights.sum(axis=1) - 1.0).max() < 1e-6 and axis.weights.min() >= 0.0
+    nearest = axis.at[axis.first + 1] - (np.arange(200) - far)
+    assert np.abs(nearest).max() <= max(spacing, unit) and not (axis.at % unit).any()
+    again = Nodes.of(-far + (period or spacing), 200, spacing, unit, period)
+    assert np.array_equal(axis.weights, again.weights)
+    assert np.array_equal(axis.at + (period or spacing), again.at)
+
+
+def test_parts_are_the_whole_where_pieces_are_small():
+    example = replace(an_example(), variety=1.0)
+    whole = example.maps(6, Rectangle(-90, -70, 300, 200), None)
+    part = example.maps(6, Rectangle(-11, 13, 71, 40), None)
+    assert np.array_equal(part, whole[:, 83:123, 79:150])

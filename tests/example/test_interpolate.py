@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 from exemplars import blobs, bricks, coloured
 
-from matcap.example.correspondence import octaves, overlay, pattern_of, patterns_of
-from matcap.example.exemplar import CHANNELS, DIFFUSE, HEIGHT, ROUGHNESS
-from matcap.example.interpolate import interpolated
+from matcap.example.exemplar import (
+    CHANNELS,
+    DIFFUSE,
+    HEIGHT,
+    ROUGHNESS,
+)
+from matcap.example.interpolate import (
+    interpolated,
+    octaves,
+    overlay,
+    pattern_of,
+    patterns_of,
+)
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 

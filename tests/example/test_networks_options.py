@@ -7,9 +7,8 @@ from exemplars import an_example
 from materials import a_material
 
 from matcap.errors import UsageError
-from matcap.space.patch import Rectangle
-from matcap.synth.fields import open_field
-from matcap.synth.request import SynthRequest
+from matcap.space.random_field import Rectangle
+from matcap.synth.request import SynthRequest, open_field
 
 
 @pytest.fixture

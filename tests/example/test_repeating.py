@@ -9,15 +9,21 @@ from exemplars import PERIODS, an_example, blobs, exemplar, ordered
 from materials import a_material
 from simulated.materials import true_exemplar
 
+from matcap.brdf.edited import seam_ratio
 from matcap.brdf.folder import read_mapset
-from matcap.brdf.seam import seam_ratio
 from matcap.cli.main import main
 from matcap.errors import UsageError
-from matcap.example.example import Example, known_part
-from matcap.example.repeat.cut import least_cut
-from matcap.example.repeat.flatten import flatten
-from matcap.example.repeat.join import is_cut, joined
-from matcap.example.repeat.repeat import repeated
+from matcap.example.example import (
+    Example,
+    known_part,
+)
+from matcap.example.repeat import (
+    flatten,
+    is_cut,
+    joined,
+    repeated,
+)
+from matcap.example.straighten import least_cut
 from matcap.field.plane import Rectangle
 
 MAPS = (slice(0, 3), slice(3, 4), slice(4, 5), slice(5, 6))

@@ -3,8 +3,8 @@
 import torch
 from simulated.materials import realise
 
+from matcap.brdf.cook_torrance import METAL_F0
 from matcap.brdf.maps import MapSet
-from matcap.brdf.metals import METAL_F0
 
 DIELECTRIC = 0.04
 SIDE = 64

@@ -11,8 +11,7 @@ import numpy as np
 import torch
 from exported import channels, linear
 
-from matcap.export.shading import TargetShading
-from matcap.export.surface import TargetSurface
+from matcap.export.shading import TargetShading, TargetSurface
 
 VALIDATOR = Path(__file__).parents[2] / ".node" / "node_modules" / "gltf-validator"
 

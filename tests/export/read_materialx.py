@@ -8,7 +8,7 @@ from chromium import drawn
 from exported import channels, linear, picture
 from MaterialX import PyMaterialXGenGlsl, PyMaterialXGenShader
 
-from matcap.export.surface import TargetSurface
+from matcap.export.shading import TargetSurface
 
 
 def load(path):

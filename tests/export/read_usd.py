@@ -5,8 +5,7 @@ import numpy as np
 from exported import channels, linear
 from pxr import Ar, Usd, UsdShade, UsdValidation
 
-from matcap.export.shading import TargetShading
-from matcap.export.surface import TargetSurface
+from matcap.export.shading import TargetShading, TargetSurface
 
 
 def complaints(path) -> list[str]:

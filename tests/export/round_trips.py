@@ -29,7 +29,7 @@ import matcap
 from matcap.export import presets
 from matcap.export.engines import PRESETS
 from matcap.export.job import ExportJob
-from matcap.export.surface import residuals
+from matcap.export.shading import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr

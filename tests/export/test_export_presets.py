@@ -13,12 +13,16 @@ from random_maps import random_maps
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
-from matcap.export.fit import ErrorWeights
 from matcap.export.job import ExportJob
-from matcap.export.metallic import FORMS, MetallicAim, to_metallic
-from matcap.export.options import ExportOptions
-from matcap.export.surface import residuals
+from matcap.export.shading import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
+from matcap.export.textures import ExportOptions
+from matcap.export.workflows import (
+    FORMS,
+    ErrorWeights,
+    MetallicAim,
+    to_metallic,
+)
 from matcap.files.exr import read_exr
 
 NAMES = {

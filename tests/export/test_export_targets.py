@@ -1,21 +1,37 @@
-"""What all exports have in common, and every command of docs/guide/export.md."""
+"""All targets of export."""
 
 import filecmp
 import json
 import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import torch
 from exported import MATERIALS, METALS
+from materials import a_material
+from simulated.materials import MATERIALS as MATERIALS_MATERIALS
+from simulated.materials import realise
+from target_surfaces import every, of_maps, residual
 
+from matcap.brdf.edited import seam_ratio
 from matcap.brdf.folder import MapSetInfo, write_mapset
+from matcap.brdf.maps import MapSet
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
+from matcap.example.example import Example
+from matcap.example.exemplar import Exemplar
 from matcap.export.engines import PRESETS
 from matcap.export.job import ExportJob, material_reach
+from matcap.export.shading import TargetShading, TargetSurface
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
+from matcap.field.opened import open_material, open_tile
+
+# What all exports have in common, and every command of docs/guide/export.md.
+
 
 # What is exported to the others is read again for all materials, in the tests of each.
 KEPT = [(target, name) for target in ("blender", "mitsuba") for name in (*MATERIALS, *METALS)]
@@ -142,3 +158,107 @@ def test_files_of_presets_are_called_as_the_table_says(captured, preset):
     for part in re.findall(r"`([^`]+)`", row):
         wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there
         assert wanted.split(".")[0] in there
+
+
+# Six materials repeat without a seam: as a capture's first map set, and in exports.
+
+
+SEAMLESS = 1.15  # invisible: single lines of a texture scatter by as much
+WIDTH, HEIGHT = 256, 192
+
+
+def by_example(name):
+    """A material that rearranges a simulated piece."""
+    maps = realise(name, WIDTH, HEIGHT, 1, 2.0 / WIDTH)
+    piece = {
+        kind: np.ascontiguousarray(getattr(maps, kind).float().numpy())
+        for kind in ("diffuse", "specular", "roughness", "height")
+    }
+    sure = np.ones((4, HEIGHT, WIDTH), np.float32)
+    exemplar = Exemplar(**piece, confidence=sure, texel_size=2.0 / WIDTH)
+    return a_material(name, example=Example.of(exemplar))
+
+
+@pytest.mark.parametrize("name", MATERIALS_MATERIALS)
+def test_a_materials_tile_has_no_seam_and_exports_say_so(tmp_path, name):
+    by_example(name).save(tmp_path / f"{name}.matcap")
+    found = open_tile(tmp_path, size=(256, 256))
+    assert found.maps.periodic and seam_ratio(found.maps) <= SEAMLESS
+    if name == "leather":
+        found = open_tile(tmp_path, size=(64, 64))
+        for target in (*DOCUMENTS, "raw", "unreal"):
+            job = ExportJob(found.maps, found.name)
+            done = write_export(job, target, tmp_path / target)
+            sidecar = json.loads((tmp_path / target / f"{name}_{target}.json").read_text())
+            assert sidecar["periodic"] is True and sidecar["seam"] <= SEAMLESS
+            assert not any("seam" in note for note in done.notes)
+
+
+def test_what_is_cut_from_the_endless_field_has_a_seam_which_an_export_tells(tmp_path):
+    by_example("leather").save(tmp_path / "leather.matcap")
+    maps = open_material(tmp_path)[1].maps(200, 200)
+    assert seam_ratio(maps) > SEAMLESS
+    done = write_export(ExportJob(maps, "leather"), "gltf", tmp_path / "gltf")
+    assert any("have a seam" in note for note in done.notes)
+
+
+# The residual of conversions: it sees every way in which a target can be wrong.
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_the_maps_themselves_have_none(made, name):
+    off = residual(made[name], of_maps(made[name]))
+    assert off.mean == off.worst == 0.0
+
+
+CHANGES = {
+    "diffuse": lambda s: {"diffuse": s.diffuse * 1.1},
+    "f0": lambda s: {"f0": s.f0 * 1.5},
+    "roughness": lambda s: {"roughness": s.roughness * 1.1},
+    "normal": lambda s: {"normal": s.normal * torch.tensor([1.0, -1.0, 1.0])[:, None, None]},
+    "f90": lambda s: {"f90": 0.5},
+    "separable": lambda s: {"shading": TargetShading(masking="separable")},
+    "hammon": lambda s: {"shading": TargetShading(masking="hammon")},
+    "disney": lambda s: {"shading": TargetShading(diffuse="disney")},
+    "index": lambda s: {"shading": TargetShading(index=0.04)},
+    "mobile": lambda s: {"shading": TargetShading(specular="mobile")},
+    "compensated": lambda s: {"shading": TargetShading(compensated=True)},
+    "half": lambda s: {"shading": TargetShading(layer="half"), "layer": s.f0},
+    "albedo": lambda s: {"shading": TargetShading(layer="albedo"), "layer": s.f0},
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_every_parameter_counts(made, change):
+    true = of_maps(made["rust"])
+    changed = replace(true, **CHANGES[change](true))
+    assert residual(made["rust"], changed).worst > 1e-3
+
+
+def test_a_tenth_more_light_is_a_tenth(made):
+    maps = made["leather"]
+    black = MapSet(maps.diffuse, 0.0 * maps.specular, maps.roughness, maps.height, 1e9)
+    rough = TargetSurface(
+        maps.diffuse * 1.1, black.specular, black.roughness, black.normal, f90=0.0
+    )
+    true = TargetSurface(maps.diffuse, black.specular, black.roughness, black.normal, f90=0.0)
+    light = torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)[:, None, None]
+    more, less = (every(s, 1).shine(light, light) for s in (rough, true))
+    assert torch.allclose(more, 1.1 * less, rtol=1e-6)
+
+
+def test_shine_is_the_reflectance_matcap_renders_with(made):
+    from matcap.brdf.cook_torrance import (
+        cook_torrance,
+        dot,
+    )
+
+    maps = made["rust"].map(lambda map_: map_.double())
+    light = torch.tensor([0.48, 0.36, 0.8], dtype=torch.float64)[:, None, None]
+    view = torch.tensor([-0.6, 0.0, 0.8], dtype=torch.float64)[:, None, None]
+    full = [v.expand_as(maps.normal) for v in (light, view)]
+    expected = cook_torrance(maps.diffuse, maps.specular, maps.roughness, maps.normal, *full) * dot(
+        maps.normal, full[0]
+    )
+    found = of_maps(maps).shine(light, view)
+    assert torch.allclose(found, expected.clamp_min(0.0), rtol=1e-6, atol=1e-9)

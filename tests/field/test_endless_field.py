@@ -1,4 +1,4 @@
-"""The field is one function of texel and seed, however it is read."""
+"""The endless field and its sources."""
 
 import hashlib
 import random
@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -13,19 +14,21 @@ from example.exemplars import blobs
 from plain_decoder import decoded
 from torus import WAVES, both, noisy
 
+from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
-from matcap.field.field import Field
 from matcap.field.material import Material
+from matcap.field.opened import open_tile
+from matcap.field.options import ReadOptions
 from matcap.field.plane import Rectangle
+from matcap.field.source import Field
 from matcap.space.decoder import CODE_SIZE
-from matcap.space.drawing import Drawing
-from matcap.space.freeze import reference_field
-from matcap.space.lattice_channels import wave_field
-from matcap.space.noise import noise_field
-from matcap.space.patch import Patch
+from matcap.space.freeze import Drawing, reference_field
+from matcap.space.random_field import Patch, noise_field, wave_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
+
+# The field is one function of texel and seed, however it is read.
 
 
 @pytest.fixture(scope="module", params=["noise", "waves", "drawing"])
@@ -189,3 +192,71 @@ def test_far_noise_and_waves_are_exact():
     turn = 2 * torch.pi * ((step * far) % 2**64) / 2**64
     cosine, sine = torch.cos(torch.tensor(turn)), torch.sin(torch.tensor(turn))
     assert torch.allclose(distant[0], near[0] * cosine - near[1] * sine, atol=2e-6)
+
+
+# Opening whatever a user points at.
+
+
+@pytest.fixture
+def source_material(monkeypatch, maps):
+    """Material.load gives something whose maps are known; it takes any file."""
+    asked = []
+
+    def load(path):
+        def read(width, height, *, seed, period):
+            asked.append((path.name, width, height, seed, period))
+            return maps
+
+        found = SimpleNamespace(maps=read, alignment=16, provenance={})
+        found.by = lambda generator: found
+        found.varied = lambda variety: found
+        return found
+
+    monkeypatch.setattr("matcap.field.material.Material.load", load)
+    return asked
+
+
+def test_a_material_file_is_read_at_the_size_and_seed_asked_for(tmp_path, source_material, maps):
+    (tmp_path / "a.MATCAP").touch()
+    for size, period in (((40, 30), None), ((48, 32), (48, 32))):
+        assert open_tile(tmp_path / "a.MATCAP", size=size, seed=5).maps is maps
+        assert source_material.pop() == ("a.MATCAP", *size, 5, period)
+
+
+def test_a_folder_with_a_material_only(tmp_path, source_material, maps):
+    (tmp_path / "a.matcap").touch()
+    (tmp_path / "report.json").write_text("{}")
+    assert open_tile(tmp_path).maps is maps
+
+
+def test_a_folder_means_its_material_and_a_map_sets_file_that_map_set(
+    tmp_path, source_material, maps
+):
+    write_mapset(maps, tmp_path, MapSetInfo("a"))
+    assert torch.equal(open_tile(tmp_path).maps.height, maps.height)
+    assert source_material == []
+    (tmp_path / "a.matcap").touch()
+    assert open_tile(tmp_path).maps is maps
+    assert len(source_material) == 1
+    assert torch.equal(open_tile(tmp_path / "a.json").maps.height, maps.height)
+    assert len(source_material) == 1
+
+
+def test_a_size_or_seed_asked_of_a_map_set_is_refused_by_name(tmp_path, maps):
+    write_mapset(maps, tmp_path, MapSetInfo("a"))
+    assert open_tile(tmp_path).name == "a"
+    asked = {"size": {"size": (64, 64)}, "seed": {"seed": 0}}
+    for option, value in (asked | {"generator": {"read": ReadOptions("decoder")}}).items():
+        with pytest.raises(UsageError, match=f"--{option}: this is a map set"):
+            open_tile(tmp_path, **value)
+
+
+def test_nothing_or_too_much_to_open(tmp_path, source_material):
+    with pytest.raises(MatcapError, match="no map set and no material"):
+        open_tile(tmp_path)
+    with pytest.raises(MatcapError, match="no such file or folder"):
+        open_tile(tmp_path / "none")
+    for name in ("a.matcap", "b.matcap"):
+        (tmp_path / name).touch()
+    with pytest.raises(MatcapError, match=r"2 materials in this folder \(a.matcap, b.matcap\)"):
+        open_tile(tmp_path)

@@ -1,16 +1,28 @@
-"""JPEG, PNG, TIFF, HEIC: exact where the format is, marked where it clips, linear light out."""
+"""Developed pictures, their size and refusals."""
 
+import io
+import os
+import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import tifffile
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
+from simulated.files import mosaic, write_dng
 
-from matcap.errors import MatcapError
-from matcap.files.srgb import srgb_decode
+from matcap.errors import ExitCode, MatcapError, UsageError
+from matcap.files.color import srgb_decode
+from matcap.photo import left_out as shrink_module
+from matcap.photo.left_out import shrink, shrunk_size
 from matcap.photo.load import load_photo
+from matcap.photo.photo import Photo, check_size
+
+# JPEG, PNG, TIFF, HEIC: exact where the format is, marked where it clips, linear light out.
 
 
 @pytest.fixture
@@ -243,3 +255,326 @@ def test_heic_without_its_extra_names_the_command(tmp_path, monkeypatch):
     with pytest.raises(MatcapError, match=r'pip install "matcap\[heic\]"') as caught:
         load_photo(tmp_path / "a.heic")
     assert isinstance(caught.value.__cause__, ImportError)
+
+
+# Downsampling: area means of light, never enlarged, in little memory.
+
+
+def reader(pixels, mask):
+    return lambda top, bottom: (pixels[top:bottom], mask[top:bottom])
+
+
+def area_matrix(size: int, new: int) -> np.ndarray:
+    """(new, size): what share of each new pixel each old one covers."""
+    edges = np.linspace(0, size, new + 1)
+    old = np.arange(size)
+    overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
+    return np.maximum(overlap, 0.0) * new / size
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(64, 200), st.integers(64, 200), st.integers(16, 199), st.integers(0, 999))
+def test_is_the_area_mean(width, height, long_side, seed):
+    rng = np.random.default_rng(seed)
+    pixels = rng.random((height, width, 3)).astype(np.float32)
+    mask = rng.random((height, width)) < 0.3
+    small, _ = shrink(reader(pixels, mask), width, height, long_side)
+    new_width, new_height = shrunk_size(width, height, long_side)
+    assert small.shape == (new_height, new_width, 3)
+    down, across = area_matrix(height, new_height), area_matrix(width, new_width)
+    expected = np.einsum("ah,hwc,bw->abc", down, pixels, across, optimize=True)
+    np.testing.assert_allclose(small, expected, atol=2e-5)
+
+
+def test_strips_do_not_show(monkeypatch):
+    pixels = np.random.default_rng(0).random((150, 200, 3)).astype(np.float32)
+    mask = pixels[..., 0] > 0.8
+    whole = shrink(reader(pixels, mask), 200, 150, 77)
+    monkeypatch.setattr(shrink_module, "_STRIP_PIXELS", 1400)
+    for one, other in zip(whole, shrink(reader(pixels, mask), 200, 150, 77), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("sites", "clipped"), [(3, False), (4, True)])
+def test_a_quarter_of_the_area_clips(sites, clipped):
+    mask = np.zeros((128, 128), bool)
+    mask.reshape(32, 4, 32, 4).swapaxes(1, 2).reshape(32, 32, 16)[...]  # a block is 16 pixels
+    for site in range(sites):
+        mask[site // 4 :: 4, site % 4 :: 4] = True
+    pixels = np.ones((128, 128, 3), np.float32)
+    assert (shrink(reader(pixels, mask), 128, 128, 32)[1] == clipped).all()
+
+
+def test_the_mean_is_of_light_not_of_code_values(photo_of):
+    stripes = np.zeros((128, 128, 3), np.uint8)
+    stripes[:, ::2] = 200
+    photo = photo_of(stripes, "a.png", long_side=64)
+    np.testing.assert_allclose(photo.pixels, srgb_decode(np.array(200 / 255)) / 2, rtol=1e-5)
+
+
+@given(st.integers(1, 4000), st.integers(1, 4000), st.integers(1, 5000))
+def test_size_never_grows_and_keeps_its_shape(width, height, long_side):
+    new_width, new_height = shrunk_size(width, height, long_side)
+    assert 1 <= new_width <= width and 1 <= new_height <= height
+    assert max(new_width, new_height) == min(long_side, max(width, height))
+
+
+def test_portrait_is_turned_anticlockwise(photo_of, codes):
+    portrait = np.ascontiguousarray(codes.swapaxes(0, 1))
+    photo = photo_of(portrait, "a.png", long_side=64)
+    assert photo.turned and photo.original_size == (96, 128)
+    assert photo.pixels.shape == (48, 64, 3) and photo.clipped.shape == (48, 64)
+    whole = photo_of(portrait, "a.png").pixels
+    # Anticlockwise: the top right corner goes to the top left.
+    np.testing.assert_allclose(whole[0, 0], srgb_decode(portrait[0, -1] / 255), rtol=1e-5)
+    np.testing.assert_allclose(whole[-1, 0], srgb_decode(portrait[0, 0] / 255), rtol=1e-5)
+
+
+@pytest.mark.parametrize("long_side", [0, -5, 63])
+def test_too_short_a_long_side_is_a_usage_error(long_side):
+    with pytest.raises(UsageError, match="long side"):
+        load_photo("a.png", long_side=long_side)
+
+
+# The high-water mark is the kernel's, of the child alone: C libraries do not tell tracemalloc.
+SCRIPT = """
+import sys
+from matcap.photo.load import load_photo
+
+def mebibytes(field):
+    lines = open("/proc/self/status").read().splitlines()
+    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith(field))
+
+import cv2, exifread, PIL.Image
+before = mebibytes("VmRSS")
+photo = load_photo(sys.argv[1], long_side=int(sys.argv[2]))
+assert photo.original_size == (int(sys.argv[3]), int(sys.argv[4])), photo.original_size
+assert abs(float(photo.pixels.mean()) - float(sys.argv[5])) < 2e-3
+print(mebibytes("VmHWM") - before)
+"""
+
+
+MEAN = float(srgb_decode(np.linspace(0.0, 1.0, 256)).mean())  # of a ramp from black to white
+
+
+def test_50_megapixels_take_little_more_than_their_pixels(tmp_path):
+    path = tmp_path / "large.jpg"
+    gradient = Image.linear_gradient("L").resize((8000, 6250))
+    Image.merge("RGB", (gradient,) * 3).save(path, quality=80)
+    del gradient
+    pixels = 8000 * 6250 * 3 / 2**20
+    assert taken(path, 1024, (8000, 6250), MEAN) < 3 * pixels
+
+
+def test_200_megapixels_are_read_within_2_gib(tmp_path):
+    """As today's phones take them; shrunk while they are decoded."""
+    path, size = tmp_path / "large.jpg", (16320, 12240)
+    Image.linear_gradient("L").resize(size).save(path, quality=80)
+    assert taken(path, 4000, size, MEAN) < 2048
+
+
+def taken(path, long_side: int, size: tuple[int, int], mean: float) -> float:
+    """MiB that reading a photograph takes at most, in a process of its own."""
+    asked = [str(value) for value in (path, long_side, *size, mean)]
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *asked], capture_output=True, text=True, check=True
+    )
+    return float(done.stdout)
+
+
+# Every file that cannot be used is refused in one sentence: where, what, remedy.
+
+
+def refuse(path: Path) -> MatcapError:
+    with pytest.raises(MatcapError) as caught:
+        load_photo(path)
+    error = caught.value
+    assert str(error).startswith(str(path)) and "\n" not in str(error)
+    assert error.remedy and error.exit_code is ExitCode.NOTHING_SUCCEEDED
+    return error
+
+
+def test_missing(tmp_path):
+    error = refuse(tmp_path / "none.dng")
+    assert "no such file" in error.what and isinstance(error.__cause__, FileNotFoundError)
+
+
+def test_directory(tmp_path):
+    assert "directory" in refuse(tmp_path).what
+
+
+def test_empty(tmp_path):
+    (tmp_path / "a.dng").touch()
+    assert "empty" in refuse(tmp_path / "a.dng").what
+
+
+def test_not_a_regular_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.jpg")  # opening it would wait for ever
+    assert "not a file" in refuse(tmp_path / "pipe.jpg").what
+
+
+def test_no_permission(tmp_path, codes, monkeypatch):
+    path = tmp_path / "a.png"
+    Image.fromarray(codes).save(path)
+
+    def denied(*_args, **_options):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", denied)  # chmod would not stop a superuser
+    error = refuse(path)
+    assert "may not be read" in error.what and isinstance(error.__cause__, PermissionError)
+
+
+@pytest.mark.parametrize("name", ["notes.dng", "notes.jpg", "notes.nef", "notes.xyz"])
+def test_text_under_a_false_name(tmp_path, name):
+    (tmp_path / name).write_text("Dear diary, today I photographed a wall.\n" * 30)
+    assert "text file" in refuse(tmp_path / name).what
+
+
+@pytest.mark.parametrize(
+    "head", [b"%PDF-1.7\n\x80\x81", b"PK\x03\x04\0\0", b"\0\0\0\x20ftypisom", b"\0"]
+)
+def test_wrong_type(tmp_path, head):
+    (tmp_path / "a.jpg").write_bytes(head + bytes(2000))
+    assert "not a photograph" in refuse(tmp_path / "a.jpg").what
+
+
+@pytest.mark.parametrize("data", [b"II*\0\x08\0\0\0", bytes(100_000)])
+def test_a_header_alone_and_zeros_are_no_raw(tmp_path, data):
+    (tmp_path / "a.dng").write_bytes(data)
+    refuse(tmp_path / "a.dng")
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
+@pytest.mark.parametrize("shape", [(1, 1), (63, 500), (500, 63)])
+def test_too_small(tmp_path, suffix, shape):
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(np.full((*shape, 3), 128, np.uint8)).save(path)
+    assert "too small" in refuse(path).what
+
+
+def test_too_small_raw(tmp_path):
+    path = write_dng(tmp_path / "a.dng", mosaic(np.full((40, 90, 3), 0.3)))
+    assert "too small" in refuse(path).what
+
+
+def test_a_header_that_claims_too_much(tmp_path, codes):
+    """Refused before memory is asked for: 13 gigapixels in a file of a few kilobytes."""
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, codes, photometric="rgb", compression="zlib")
+    with tifffile.TiffFile(path, mode="r+") as file:
+        for tag in ("ImageWidth", "ImageLength", "RowsPerStrip"):
+            file.pages.first.tags[tag].overwrite(60_000 if tag != "ImageWidth" else 65_000)
+    refuse(path)
+    with pytest.raises(MatcapError, match="more than can be read"):
+        check_size(path, 60_000, 60_000)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_values_that_are_no_numbers(tmp_path, light, value):
+    light[50, 60, 1] = value
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, light.astype(np.float32), photometric="rgb")
+    assert "NaN or infinite" in refuse(path).what
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
+@pytest.mark.parametrize(("value", "word"), [(0, "all black"), (255, "all white")])
+def test_nothing_to_see(tmp_path, suffix, value, word):
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(np.full((96, 128, 3), value, np.uint8)).save(path)
+    assert word in refuse(path).what
+
+
+@pytest.mark.parametrize(("value", "word"), [(0.0, "all black"), (2.0, "all white")])
+def test_nothing_to_see_in_raw(tmp_path, value, word):
+    path = write_dng(tmp_path / "a.dng", mosaic(np.full((96, 128, 3), value)))
+    assert word in refuse(path).what
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> dict[str, bytes]:
+    """A small noisy picture in every form that is read without extras."""
+    folder = tmp_path_factory.mktemp("whole")
+    rng = np.random.default_rng(0)
+    picture = rng.integers(20, 200, (64, 80, 3)).astype(np.uint8)
+    files = {}
+    for name, form in [("jpg", "JPEG"), ("png", "PNG"), ("tif", "TIFF")]:
+        stream = io.BytesIO()
+        Image.fromarray(picture).save(stream, form)
+        files[name] = stream.getvalue()
+    files["dng"] = write_dng(folder / "a.dng", mosaic(picture / 255.0)).read_bytes()
+    return files
+
+
+@pytest.mark.parametrize("form", ["jpg", "png", "tif", "dng"])
+def test_half_a_file(tmp_path, whole, form, capfd):
+    path = tmp_path / f"half.{form}"
+    path.write_bytes(whole[form][: len(whole[form]) // 2])
+    error = refuse(path)
+    assert "truncated or damaged" in error.what
+    assert capfd.readouterr() == ("", "")  # what C libraries print stays out of the terminal
+
+
+@pytest.mark.parametrize("form", ["jpg", "png", "tif", "dng"])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(share=st.floats(0.0, 1.0))
+def test_a_file_cut_anywhere_is_read_or_refused(tmp_path, whole, form, share):
+    path = tmp_path / f"cut.{form}"
+    path.write_bytes(whole[form][: int(share * len(whole[form]))])
+    read_or_refuse(path)
+
+
+@pytest.mark.parametrize("form", ["jpg", "png", "tif", "dng"])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(place=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=8), near_start=st.booleans())
+def test_a_file_with_junk_is_read_or_refused(tmp_path, whole, form, place, junk, near_start):
+    data = bytearray(whole[form])
+    at = int(place * (min(400, len(data) - 8) if near_start else len(data) - 8))
+    data[at : at + len(junk)] = junk
+    path = tmp_path / f"junk.{form}"
+    path.write_bytes(data)
+    read_or_refuse(path)
+
+
+def read_or_refuse(path: Path) -> None:
+    try:
+        photo = load_photo(path)
+    except MatcapError as error:
+        assert str(path) in str(error)
+        return
+    assert isinstance(photo, Photo)
+    assert np.isfinite(photo.pixels).all() and photo.pixels.min() >= 0.0
+
+
+def test_what_is_not_supported_is_not_called_damaged(tmp_path, codes):
+    """Whole files: a JPEG of 12 bits by its frame, lossless ones, TIFFs of rare codings, others."""
+    Image.fromarray(codes).save(tmp_path / "a.jpg")
+    data = (tmp_path / "a.jpg").read_bytes()
+    frame = data.index(b"\xff\xc0")
+    for marker, bits, word in ((0xC1, 12, "12 bits"), (0xC3, 8, "lossless")):
+        changed = bytearray(data)
+        changed[frame + 1], changed[frame + 4] = marker, bits
+        (tmp_path / "b.jpg").write_bytes(changed)
+        error = refuse(tmp_path / "b.jpg")
+        assert word in error.what and "not supported" in error.what
+    tifffile.imwrite(tmp_path / "a.tif", codes.astype(np.complex64), photometric="minisblack")
+    assert "not supported" in refuse(tmp_path / "a.tif").what
+    tifffile.imwrite(tmp_path / "b.tif", codes, photometric="rgb")
+    with tifffile.TiffFile(tmp_path / "b.tif", mode="r+") as file:
+        file.pages.first.tags["Compression"].overwrite(34925)  # LZMA
+    assert "compression LZMA is not supported" in refuse(tmp_path / "b.tif").what
+    heads = {"JPEG XL": b"\xff\x0a", "GIF": b"GIF89a"}
+    for word, head in heads.items():
+        (tmp_path / "c.jpg").write_bytes(head + bytes(100))
+        assert word in refuse(tmp_path / "c.jpg").what
+
+
+def test_bands_without_names_are_no_colours(tmp_path):
+    bands = np.full((96, 128, 5), 100, np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", bands, photometric="minisblack", planarconfig="contig")
+    assert "5 bands" in refuse(tmp_path / "a.tif").what

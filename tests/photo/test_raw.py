@@ -1,13 +1,23 @@
-"""RAW: linear, balanced, oriented once, clipping read off the mosaic, by quiet decoders."""
+"""RAW files: noise, JPEG XL, lens shading."""
 
+import struct
 import subprocess
 import sys
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from simulated.files import BLACK, WHITE, color_matrix, mosaic, write_dng
+import tifffile
+from simulated.files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
 
-from matcap.photo.load import load_photo
+from matcap.errors import MatcapError
+from matcap.photo.dng import Shading, parse_opcodes
+from matcap.photo.load import load_photo, plain_copy
+from matcap.photo.raw import SensorNoise, find_noise
+
+# RAW: linear, balanced, oriented once, clipping read off the mosaic, by quiet decoders.
+
 
 NEUTRAL = (0.5, 1.0, 0.6)
 MIXING = np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.25, 0.7]])
@@ -146,7 +156,7 @@ def test_odd_sizes(tmp_path):
 
 SCRIPT = """
 import logging, os, sys, threading
-from matcap.files.quiet import quiet_decoders
+from matcap.files.process import quiet_decoders
 
 inside, done = threading.Event(), threading.Event()
 def other():
@@ -174,7 +184,7 @@ def test_only_decoders_are_silenced():
 
 
 def test_process_without_stderr():
-    script = "import os; os.close(2)\nfrom matcap.files.quiet import quiet_decoders\n"
+    script = "import os; os.close(2)\nfrom matcap.files.process import quiet_decoders\n"
     script += "with quiet_decoders(): print('read')"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
@@ -189,3 +199,405 @@ def test_a_cut_raw_prints_nothing(tmp_path):
     script += "try: load.load_photo(sys.argv[1])\nexcept MatcapError as error: print(error)"
     done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True)
     assert done.stderr == "" and "truncated or damaged" in done.stdout
+
+
+# The sensor's noise: found where it is known, drawn again as it was drawn first.
+
+
+LEVELS = np.full((2, 2), float(BLACK))
+RANGE = WHITE - BLACK
+SENSORS = [(2000.0, 3.0), (500.0, 12.0), (8000.0, 2.0)]  # electrons: full well, read noise
+
+
+def numbers_of(well, read):
+    """The same sensor's noise, in the file's numbers."""
+    return SensorNoise(RANGE / well, (read * RANGE / well) ** 2)
+
+
+def falloff(height=768, width=1024):
+    """(H, W, 3) grey light as a flash leaves it: 0.6 in the middle, a tenth of it in a corner."""
+    y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    return np.repeat((0.6 / (1 + 1.6 * (x**2 + y**2)) ** 2)[..., None], 3, axis=2)
+
+
+def noisy(light, sensor, seed=1):
+    return sensor.added(mosaic(light), LEVELS, seed)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_plain_surface_tells_the_noise(sensor):
+    true = numbers_of(*sensor)
+    found = find_noise(noisy(falloff(), true), LEVELS, WHITE)
+    signal = np.array([0.06, 0.2, 0.5]) * RANGE
+    variance = found.shot * signal + found.read
+    np.testing.assert_allclose(variance, true.shot * signal + true.read, rtol=0.12)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_texture_is_not_taken_for_noise(sensor):
+    """Strong grain everywhere, as sharp as a lens draws it, hardly raises what is found."""
+    grain = np.random.default_rng(3).standard_normal((768, 1024)).astype(np.float32)
+    grain = cv2.GaussianBlur(grain, (0, 0), 1.2)
+    light = falloff() * np.exp(0.3 * grain / grain.std())[..., None]
+    true = numbers_of(*sensor)
+    found = find_noise(noisy(np.minimum(light, 0.9), true), LEVELS, WHITE)
+    signal = np.array([0.06, 0.2, 0.5]) * RANGE
+    share = (found.shot * signal + found.read) / (true.shot * signal + true.read)
+    assert (share > 0.85).all() and (share < 1.6).all()
+
+
+def test_without_noise_next_to_none_is_found():
+    found = find_noise(mosaic(falloff()), LEVELS, WHITE)
+    signal = 0.2 * RANGE
+    assert found.shot * signal + found.read < 1.0  # rounding alone varies by 1/12
+
+
+def test_what_is_added_has_the_variance_it_states():
+    sensor = SensorNoise(2.0, 30.0)
+    for level in (0.0, 0.05, 0.5):
+        flat = mosaic(np.full((512, 512, 3), level), black=600)
+        added = sensor.added(flat, np.full((2, 2), 600.0), 0).astype(float) - flat
+        assert added.mean() == pytest.approx(0.0, abs=0.5)
+        expected = 2.0 * (flat[0, 0] - 600.0) + 30.0 + 1 / 12
+        assert added.var() == pytest.approx(expected, rel=0.02)
+
+
+def test_black_levels_may_differ_by_place():
+    black = np.array([[64.0, 80.0], [96.0, 64.0]])
+    tiled = np.tile(black, (256, 256))
+    true = SensorNoise(2.0, 40.0)
+    clean = np.rint(mosaic(falloff(512, 512)) - BLACK + tiled).astype(np.uint16)
+    found = find_noise(true.added(clean, black, 2), black, WHITE)
+    assert found.shot == pytest.approx(2.0, rel=0.12)
+
+
+@pytest.mark.parametrize("size", [(16, 16), (63, 65), (2, 2)])
+def test_too_little_to_tell_is_none(size):
+    assert find_noise(np.full(size, 900, np.uint16), LEVELS, WHITE) is None
+
+
+def test_an_overexposed_picture_is_none():
+    assert find_noise(np.full((512, 512), WHITE, np.uint16), LEVELS, WHITE) is None
+
+
+@pytest.mark.parametrize("long_side", [None, 800, 512, 300])
+def test_the_draw_looks_like_the_noise_in_the_picture(tmp_path, long_side):
+    """Through demosaicing, white balance and shrinking, whole and two by two."""
+    true = numbers_of(2000.0, 3.0)
+    neutral = (0.5, 1.0, 0.6)
+    light = falloff() * neutral
+    clean = write_dng(tmp_path / "clean.dng", mosaic(light), neutral=neutral)
+    dirty = write_dng(tmp_path / "dirty.dng", noisy(light, true), neutral=neutral)
+    photo = load_photo(dirty, long_side=long_side)
+    real = photo.pixels - load_photo(clean, long_side=long_side, noise=False).pixels
+    assert photo.noise.shape == photo.pixels.shape
+    assert photo.noise.dtype == np.float32 and photo.noise.flags.c_contiguous
+    np.testing.assert_allclose(photo.noise.std((0, 1)), real.std((0, 1)), rtol=0.15)
+    assert abs(np.corrcoef(photo.noise.ravel(), real.ravel())[0, 1]) < 0.2  # another draw
+
+    def beside(picture):
+        return (picture[:, 1:] * picture[:, :-1]).mean() / np.square(picture).mean()
+
+    assert beside(photo.noise) == pytest.approx(beside(real), abs=0.1)
+
+
+def test_lens_shading_lifts_the_noise_too(tmp_path):
+    light = np.full((384, 512, 3), 0.2)
+    gains = np.ones((2, 2, 1)) * np.array([1.0, 3.0])[None, :, None]
+    opcodes = opcode_list(gain_map(gains, (384, 512)))
+    path = write_dng(tmp_path / "a.dng", noisy(light, numbers_of(2000.0, 3.0)), opcodes2=opcodes)
+    noise = load_photo(path).noise
+    assert noise[:, -40:].std() > 2.0 * noise[:, :40].std()
+
+
+def test_a_portrait_s_noise_lies_as_it_does(tmp_path):
+    dark_left = np.full((512, 384, 3), 0.3)
+    dark_left[:256] = 0.03
+    path = write_dng(tmp_path / "a.dng", noisy(dark_left, numbers_of(500.0, 3.0)))
+    photo = load_photo(path)
+    assert photo.turned and photo.noise.shape == photo.pixels.shape
+    dark = photo.pixels.mean(axis=2) < 0.1
+    assert photo.noise[dark].std() < 0.7 * photo.noise[~dark].std()
+
+
+def test_there_is_none_where_it_is_not_asked_for_or_has_averaged_out(tmp_path, codes):
+    path = write_dng(tmp_path / "a.dng", noisy(falloff(), numbers_of(2000.0, 3.0)))
+    assert load_photo(path, noise=False).noise is None
+    assert load_photo(path, long_side=1024 // 6).noise is None
+    jpeg = tmp_path / "a.jpg"
+    cv2.imwrite(str(jpeg), codes)
+    assert load_photo(jpeg).noise is None
+
+
+def test_the_same_file_gives_the_same_draw(tmp_path):
+    path = write_dng(tmp_path / "a.dng", noisy(falloff(), numbers_of(2000.0, 3.0)))
+    first, second = load_photo(path), load_photo(path)
+    np.testing.assert_array_equal(first.noise, second.noise)
+    np.testing.assert_array_equal(first.pixels, load_photo(path, noise=False).pixels)
+
+
+# DNGs that LibRaw cannot open come out as the same DNGs uncompressed, to the bit.
+
+
+JPEG_XL = 52546
+TILED = {"compression": "zlib", "tile": (32, 48), "predictor": True}
+
+
+def same(found, expected):
+    for name in ("pixels", "clipped", "noise"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert (found.radiometric, found.gain_map_applied) == (True, expected.gain_map_applied)
+
+
+def stored(light, planes: int):
+    """What a sensor's file holds, clipped somewhere."""
+    bright = np.clip(2.0 * light * NEUTRAL, 0.0, 1.0)
+    linear = np.rint(BLACK + bright * (WHITE - BLACK)).astype(np.uint16)
+    return mosaic(bright) if planes == 1 else linear
+
+
+@pytest.mark.parametrize("byteorder", ["<", ">"])
+@pytest.mark.parametrize("planes", [1, 3])
+def test_a_plain_copy_is_the_file_uncompressed(tmp_path, light, planes, byteorder):
+    options = {
+        "neutral": NEUTRAL,
+        "color_matrix": color_matrix(np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0, 0.3, 0.7]])),
+        "orientation": 3,
+        "opcodes2": opcode_list(gain_map(np.full((2, 2, 1), 1.5), (96, 128), planes=planes)),
+        "active_area": (3, 2, 91, 120),
+        "byteorder": byteorder,
+    }
+    samples = stored(light, planes)
+    packed = write_dng(tmp_path / "packed.dng", samples, **options, **TILED)
+    expected = load_photo(write_dng(tmp_path / "plain.dng", samples, **options))
+    with plain_copy(packed) as copy:
+        same(load_photo(copy), expected)
+    assert not copy.exists() and expected.gain_map_applied and expected.clipped.any()
+
+
+def test_the_raw_picture_may_lie_beside_a_preview(tmp_path, light):
+    samples = stored(light, 1)
+
+    def write(path: Path, **options) -> Path:
+        whole = write_dng(tmp_path / "tags.dng", samples)
+        with tifffile.TiffFile(whole) as file:
+            tags = [
+                (tag.code, tag.dtype, tag.count, tag.value, True)
+                for tag in file.pages.first.tags
+                if tag.code >= 33000
+            ]
+        first = [tag for tag in tags if tag[0] in (50706, 50707, 50708, 50721, 50728, 50778)]
+        rest = [tag for tag in tags if tag not in first]
+        with tifffile.TiffWriter(path) as out:
+            preview = np.zeros((16, 24, 3), np.uint8)
+            about = {"metadata": None, "software": False}
+            out.write(preview, photometric="rgb", subifds=1, extratags=first, **about)
+            out.write(samples, photometric=32803, extratags=rest, **about, **options)
+        return path
+
+    with plain_copy(write(tmp_path / "packed.dng", **TILED)) as copy:
+        same(load_photo(copy), load_photo(write(tmp_path / "plain.dng")))
+
+
+@pytest.mark.parametrize("planes", [1, 3])
+def test_reads_jpeg_xl(tmp_path, light, planes):
+    pytest.importorskip("imagecodecs")
+    samples = stored(light, planes)
+    options = {"compression": JPEG_XL, "compressionargs": {"level": 0, "lossless": True}}
+    photo = load_photo(write_dng(tmp_path / "a.dng", samples, **options))
+    same(photo, load_photo(write_dng(tmp_path / "b.dng", samples)))
+
+
+def test_what_is_cut_off_is_named_by_its_own_name(tmp_path, light):
+    path = write_dng(tmp_path / "a.dng", stored(light, 1), **TILED)
+    path.write_bytes(path.read_bytes()[:-4000])
+    with pytest.raises(MatcapError, match=r"a\.dng: the DNG file is truncated"), plain_copy(path):
+        pass
+
+
+def test_missing_extra_names_its_command(tmp_path, light, monkeypatch):
+    path = write_dng(tmp_path / "a.dng", mosaic(light))
+    data = path.read_bytes()
+    # No encoder needed: the compression is written over, the picture never reached.
+    at = data.index(b"\x03\x01\x03\x00\x01\x00\x00\x00\x01\x00") + 8
+    path.write_bytes(data[:at] + JPEG_XL.to_bytes(2, "little") + data[at + 2 :])
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    with pytest.raises(MatcapError, match=r'pip install "matcap\[jxl\]"') as caught:
+        load_photo(path)
+    assert isinstance(caught.value.__cause__, ImportError)
+
+
+# A DNG's lens shading: parsed, evaluated as the standard says, applied where it belongs.
+
+
+SIZE = (96, 128)
+PLACES = [(0, 0), (0, 1), (1, 0), (1, 1)]
+
+
+@pytest.fixture
+def grid() -> np.ndarray:
+    """(5, 7, 1) gains that grow to the corners, and differ everywhere."""
+    y, x = np.mgrid[-1:1:5j, -1:1:7j]
+    return (1.0 + 0.8 * x**2 + 0.5 * y**2 + 0.1 * x)[..., None]
+
+
+def reference_gain(grid: np.ndarray, row: int, column: int) -> float:
+    """Chapter 7's words, one pixel at a time, for a map spread over the whole picture."""
+    v = (row + 0.5) / SIZE[0] * (grid.shape[0] - 1)
+    h = (column + 0.5) / SIZE[1] * (grid.shape[1] - 1)
+    i, j = min(int(v), grid.shape[0] - 2), min(int(h), grid.shape[1] - 2)
+    top = grid[i, j] * (1 - h + j) + grid[i, j + 1] * (h - j)
+    bottom = grid[i + 1, j] * (1 - h + j) + grid[i + 1, j + 1] * (h - j)
+    return float(top * (1 - v + i) + bottom * (v - i))
+
+
+def test_gains_follow_the_standard(grid):
+    maps, vignette = parse_opcodes(opcode_list(gain_map(grid, SIZE)))
+    gains = Shading(maps, SIZE, SIZE).gains(10, 30, 1)
+    assert not vignette
+    for row, column in [(10, 0), (10, 127), (29, 64), (15, 33)]:
+        expected = reference_gain(grid[..., 0], row, column)
+        assert gains[row - 10, column, 0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_strips_join_up(grid):
+    maps = parse_opcodes(opcode_list(gain_map(grid, SIZE, offset=(1, 0), pitch=2)))[0]
+    shading = Shading(maps, SIZE, SIZE)
+    strips = [shading.gains(top, min(top + 7, 96), 1) for top in range(0, 96, 7)]
+    np.testing.assert_array_equal(np.concatenate(strips), shading.gains(0, 96, 1))
+
+
+def test_maps_touch_only_their_photosites():
+    """Phones write a map for each place in the two by two."""
+    flats = [np.full((1, 1, 1), gain) for gain in (1.5, 2.0, 3.0, 4.0)]
+    opcodes = [
+        gain_map(flat, SIZE, offset=place, pitch=2)
+        for flat, place in zip(flats, PLACES, strict=True)
+    ]
+    gains = Shading(parse_opcodes(opcode_list(*opcodes))[0], SIZE, SIZE).gains(0, 96, 1)[..., 0]
+    np.testing.assert_array_equal(gains[:2, :2], [[1.5, 2.0], [3.0, 4.0]])
+    np.testing.assert_array_equal(gains, np.tile(gains[:2, :2], (48, 64)))
+
+
+@pytest.mark.parametrize("long_side", [None, 64])
+def test_flat_field_comes_out_flat(tmp_path, grid, long_side):
+    """A grey wall behind a lens with falloff; also where the gains lift it past the white level."""
+    maps = parse_opcodes(opcode_list(gain_map(grid, SIZE)))[0]
+    falloff = 1.0 / Shading(maps, SIZE, SIZE).gains(0, 96, 1)
+    neutral = (0.5, 1.0, 0.6)
+    samples = mosaic(0.9 * falloff * neutral)
+    path = write_dng(
+        tmp_path / "a.dng", samples, neutral=neutral, opcodes2=opcode_list(gain_map(grid, SIZE))
+    )
+    photo = load_photo(path, long_side=long_side)
+    assert photo.gain_map_applied
+    np.testing.assert_allclose(photo.pixels, 0.9, rtol=6e-3)
+    assert photo.pixels.mean() == pytest.approx(0.9, rel=1e-3)
+    plain = load_photo(write_dng(tmp_path / "b.dng", samples, neutral=neutral))
+    assert not plain.gain_map_applied
+    assert plain.pixels.min() < 0.5
+
+
+def test_gains_do_not_clip_what_was_not_clipped(tmp_path):
+    """0.8 of the white level times 2 is 1.6, a number, not a clipped pixel."""
+    flat = opcode_list(gain_map(np.full((2, 2, 1), 2.0), SIZE))
+    path = write_dng(tmp_path / "a.dng", mosaic(np.full((*SIZE, 3), 0.8)), opcodes2=flat)
+    photo = load_photo(path)
+    np.testing.assert_allclose(photo.pixels, 1.6, rtol=1e-3)
+    assert not photo.clipped.any()
+
+
+def test_map_by_photosite_reaches_its_colour(tmp_path):
+    """Red photosites were shaded to a half, the others not."""
+    opcodes = opcode_list(gain_map(np.full((1, 1, 1), 2.0), SIZE, pitch=2))
+    light = np.full((*SIZE, 3), 0.4) * (0.5, 1.0, 1.0)
+    photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), opcodes2=opcodes))
+    np.testing.assert_allclose(photo.pixels, 0.4, rtol=3e-3)
+
+
+@pytest.mark.parametrize("option", ["opcodes2", "opcodes3"])
+def test_linear_dng_by_plane(tmp_path, grid, option):
+    tinted = np.concatenate([grid, 1.2 * grid, 1.5 * grid**2], axis=2)
+    maps = parse_opcodes(opcode_list(gain_map(tinted, SIZE, planes=3)))[0]
+    # The gains differ by plane, and are for the colours of a camera that mixes them.
+    mixing = np.array([[0.8, 0.2, 0.0], [0.1, 0.8, 0.1], [0.0, 0.3, 0.7]])
+    rec709 = np.array([0.4, 0.3, 0.2])
+    light = rec709 @ mixing.T / Shading(maps, SIZE, SIZE).gains(0, 96, 3)
+    samples = np.rint(BLACK + light * (WHITE - BLACK)).astype(np.uint16)
+    options = {option: opcode_list(gain_map(tinted, SIZE, planes=3))}
+    options["color_matrix"] = color_matrix(mixing)
+    path = write_dng(tmp_path / "a.dng", samples, **options)
+    picture = load_photo(path)
+    assert picture.gain_map_applied
+    inside = picture.pixels[~picture.clipped]
+    assert len(inside) > 0.9 * picture.clipped.size
+    np.testing.assert_allclose(inside, np.tile(rec709, (len(inside), 1)), rtol=2e-2)
+
+
+@pytest.mark.parametrize("long_side", [None, 64])
+def test_after_demosaicing(tmp_path, long_side):
+    y, x = np.mgrid[-1:1:3j, -1:1:3j]
+    grid = (1.0 + 0.3 * x + 0.2 * y)[..., None]
+    opcodes = opcode_list(gain_map(grid, SIZE, planes=3))
+    light = 0.4 / Shading(parse_opcodes(opcodes)[0], SIZE, SIZE).gains(0, 96, 3)
+    photo = load_photo(
+        write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcodes), long_side=long_side
+    )
+    assert photo.gain_map_applied
+    np.testing.assert_allclose(photo.pixels[1:-1, 1:-1], 0.4, rtol=1e-2)
+
+
+def test_after_demosaicing_by_colour_and_past_white(tmp_path):
+    gains = np.array([2.0, 1.5, 1.6])
+    opcodes = opcode_list(gain_map(np.tile(gains, (2, 2, 1)), SIZE, planes=3))
+    path = write_dng(
+        tmp_path / "a.dng", mosaic(np.ones((*SIZE, 3)) * 1.2 / gains), opcodes3=opcodes
+    )
+    for long_side in (None, 64):
+        photo = load_photo(path, long_side=long_side)
+        np.testing.assert_allclose(photo.pixels, 1.2, rtol=2e-3)
+        assert not photo.clipped.any()
+
+
+def test_places_count_from_the_active_area(tmp_path, grid):
+    """Behind an odd margin of masked pixels, which LibRaw makes even."""
+    maps = [gain_map(grid * (1.5 if p == (0, 0) else 1.0), SIZE, offset=p, pitch=2) for p in PLACES]
+    opcodes = opcode_list(*maps)
+    gains = Shading(parse_opcodes(opcodes)[0], SIZE, SIZE).gains(0, 96, 1)[..., 0]
+    active = BLACK + (mosaic(np.full((*SIZE, 3), 0.5)) - float(BLACK)) / gains
+    stored = np.zeros((96 + 3, 128 + 5), np.uint16)
+    stored[3:, 5:] = np.rint(active)
+    path = write_dng(tmp_path / "a.dng", stored, opcodes2=opcodes, active_area=(3, 5, 99, 133))
+    picture = load_photo(path)
+    assert min(picture.pixels.shape[:2]) >= SIZE[0] - 1
+    np.testing.assert_allclose(picture.pixels, 0.5, rtol=4e-3)
+
+
+@pytest.mark.parametrize(("opcode", "named"), [(1, "distortion"), (12, "rows"), (5, None)])
+def test_what_changes_light_or_place_is_named(tmp_path, light, opcode, named):
+    asked = opcode_list(struct.pack(">4I", opcode, 0x01030000, 0, 4) + bytes(4))
+    photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=asked))
+    assert [named in note for note in photo.notes] == ([True] if named else [])
+
+
+def test_radial_vignette_is_named(tmp_path, light):
+    vignette = struct.pack(">4I", 3, 0x01030000, 0, 56) + struct.pack(">7d", *([0.1] * 5), 0.5, 0.5)
+    photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcode_list(vignette)))
+    assert not photo.gain_map_applied
+    assert any("vignette" in note for note in photo.notes)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        opcode_list(gain_map(np.ones((5, 5, 1)), SIZE))[:-8],
+        opcode_list(gain_map(np.full((2, 2, 1), np.nan), SIZE)),
+        opcode_list(gain_map(np.ones((2, 2, 1)), SIZE, pitch=0)),
+        struct.pack(">I", 9),
+    ],
+    ids=["short", "nan", "pitch", "count"],
+)
+def test_broken_maps_are_refused(tmp_path, light, broken):
+    path = write_dng(tmp_path / "a.dng", mosaic(light), opcodes2=broken)
+    with pytest.raises(MatcapError, match="damaged"):
+        load_photo(path)

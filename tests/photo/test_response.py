@@ -7,8 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from matcap.photo.photo import (
+    WITH_GAIN_MAP,
+    Development,
+    ToneCurve,
+)
 from matcap.photo.response import Tones, fit_ratio
-from matcap.photo.tone import WITH_GAIN_MAP, Development, ToneCurve
 
 LIGHT = np.exp(np.random.default_rng(1).uniform(math.log(0.02), math.log(0.95), 20_000))
 CODED, LINEAR = Tones(False, Development()), Tones(True, Development())

@@ -17,15 +17,41 @@ from relight_samples import bumpy
 
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
-from matcap.relight.block import Block, ShadingContext
-from matcap.relight.effects import area, direct, environment, parallax
-from matcap.relight.environment_map import environment_of
-from matcap.relight.horizons import COARSENESS, Horizons
+from matcap.relight.block import (
+    Block,
+    Hits,
+    ShadingContext,
+    to_frame,
+)
+from matcap.relight.camera import (
+    dot,
+    lattice,
+    scale,
+    subtract,
+    vec,
+)
+from matcap.relight.effects import (
+    area,
+    direct,
+    environment,
+)
+from matcap.relight.effects import (
+    relief as parallax,
+)
+from matcap.relight.environment_map import albedo, environment_of
 from matcap.relight.loops import library
-from matcap.relight.plan import Budget, Plan, Step
-from matcap.relight.relief import Relief
+from matcap.relight.plan import (
+    Budget,
+    Plan,
+    Step,
+    Tally,
+)
+from matcap.relight.relief import (
+    COARSENESS,
+    Horizons,
+    Relief,
+)
 from matcap.relight.render import relight
-from matcap.relight.sampling import Sampler, SurfaceSample
 from matcap.relight.scene import (
     EnvironmentLight,
     Film,
@@ -34,12 +60,11 @@ from matcap.relight.scene import (
     Scene,
     SphereLight,
 )
-from matcap.relight.surfaces.hits import Hits, to_frame
-from matcap.relight.tables import albedo
-from matcap.relight.tally import Tally
-from matcap.relight.texture import Texture
-from matcap.relight.vectors import dot, scale, subtract, vec
-from matcap.relight.visible_normals import lattice
+from matcap.relight.texture import (
+    Sampler,
+    SurfaceSample,
+    Texture,
+)
 
 LIGHTS = (
     RectangleLight((-0.8, 0.5, 0.9), (0.8, -0.5, -0.9), size=(0.9, 0.5), radiance=(2.0,) * 3),
@@ -330,7 +355,7 @@ def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, adaptive):
 
 def test_without_the_loops_one_sentence_says_what_to_do(monkeypatch):
     library.built.cache_clear()
-    monkeypatch.setattr("matcap.files.compiled.EXTENSION_SUFFIXES", [])
+    monkeypatch.setattr("matcap.files.process.EXTENSION_SUFFIXES", [])
     try:
         with pytest.raises(MatcapError, match="were not built when matcap was installed; install"):
             relight(bumpy(8, 8), Scene(Film(4, 4), lights=(PointLight((0.0, 0.0, 2.0)),)))

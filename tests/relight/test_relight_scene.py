@@ -1,16 +1,28 @@
-"""Scenes from files and from the shorthand of the command line."""
+"""Scenes, options, photographed scenes."""
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from relight_samples import bumpy
+import torch
+from PIL import Image
+from relight_samples import bumpy, flat
+from simulated.photographs import PhoneCamera, take
 
+from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, write_mapset
+from matcap.brdf.maps import MapSet
+from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
-from matcap.relight.named import PRESETS, preset
-from matcap.relight.render import relight
+from matcap.files.color import srgb_encode, srgb_picture
+from matcap.files.exr import read_exr
+from matcap.flash.geometry import FlashSetup, unproject
+from matcap.flash.light import render_flash, render_rectified
+from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
     NAMED_LIGHTS,
     Camera,
@@ -20,9 +32,13 @@ from matcap.relight.scene import (
     RectangleLight,
     Scene,
     Surface,
+    photographed_scene,
     scene_from_light,
 )
-from matcap.relight.scenefile import parse_scene, read_scene
+from matcap.relight.scenefile import PRESETS, parse_scene, preset, read_scene
+
+# Scenes from files and from the shorthand of the command line.
+
 
 EVERYTHING = """
 [film]
@@ -182,3 +198,239 @@ def test_it_shows_something_well_exposed(name, scene):
 
 def test_there_are_examples():
     assert len(FILES) >= 5
+
+
+# `matcap relight`, with real files.
+
+
+SCENE = """
+[film]
+width = 20
+height = 16
+exposure = -1.0
+[[light]]
+type = "point"
+position = [0.0, 1.0, 2.0]
+intensity = [9.0, 9.0, 9.0]
+"""
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Run the command in a folder with a map set `m`; gives code, out and err."""
+    write_mapset(bumpy(24, 16), tmp_path / "m", MapSetInfo("bumpy"))
+    (tmp_path / "scene.toml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        code = main(["relight", *arguments])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return call
+
+
+def test_default_picture_is_one_pixel_a_texel(run, tmp_path):
+    code, out, err = run("m", "-o", "a.png")
+    assert (code, out) == (0, "")
+    assert "a.png" in err
+    assert cv2.imread("a.png").shape == (16, 24, 3)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "m", "scene.toml"]
+
+
+def test_exr_is_radiance_and_png_is_exposed_codes(run):
+    assert run("m", "--scene", "scene.toml", "-o", "a.exr", "-q")[0] == 0
+    assert run("m", "--scene", "scene.toml", "-o", "a.png", "-q")[0] == 0
+    radiance = read_exr(Path("a.exr")).pixels
+    assert radiance.shape == (16, 20, 3)
+    codes = cv2.imread("a.png")[..., ::-1]
+    np.testing.assert_array_equal(codes, np.rint(srgb_picture(radiance / 2.0) * 255))
+
+
+def test_explain_and_json(run):
+    code, out, _ = run("m", "--light", "left", "--explain", "-o", "a.png")
+    assert code == 0
+    lines = out.splitlines()
+    assert lines[0].split() == ["effect", "tiles", "bound", "ms", "reason"]
+    assert any(line.startswith("shadows") for line in lines)
+    assert any(line.split()[:2] == ["area", "off"] for line in lines)
+    code, out, err = run("m", "--json", "-o", "b.png", "--effects", "none,+diffuse")
+    report = json.loads(out)
+    assert (code, err, report["out"]) == (0, "", "b.png")
+    assert [row["effect"] for row in report["plan"] if row["on"]] == ["diffuse"]
+
+
+def test_the_map_of_tiles_shows_a_panel_for_each_effect_that_ran(run, tmp_path):
+    code, _, _ = run("m", "--light", "left", "--explain-map", "where.png", "-o", "a.png")
+    assert code == 0
+    where = cv2.imread("where.png")
+    assert where is not None and where.shape[1] > 3 * 24 and where.any()
+    code, _, err = run("m", "--explain-map", "where.exr", "-o", "b.png")
+    assert (code, "unknown map" in err, (tmp_path / "b.png").exists()) == (
+        2,
+        True,
+        False,
+    )
+
+
+def test_tolerance_and_effects_reach_the_plan(run):
+    plans = [
+        json.loads(run("m", "--json", "-o", f"{tolerance}.png", "--tolerance", tolerance)[1])[
+            "plan"
+        ]
+        for tolerance in ("0", "1e9")
+    ]
+    assert sum(row["on"] for row in plans[0]) > 0
+    assert not any(row["on"] for row in plans[1])
+
+
+def test_animations(run):
+    options = ("--size", "16x12", "--animate", "light-orbit", "--frames", "3", "-q")
+    for out in ("a.gif", "a.mp4", "b.exr"):
+        assert run("m", *options, "-o", out)[0] == 0
+    with Image.open("a.gif") as gif:
+        assert gif.n_frames == 3
+    video = cv2.VideoCapture("a.mp4")
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
+    video.release()
+    frames = [read_exr(Path(f"b_{i:04d}.exr")).pixels for i in range(3)]
+    assert frames[0].shape == (12, 16, 3)
+    assert not np.array_equal(frames[0], frames[1])
+
+
+def test_turntable_ends_where_it_began(run):
+    options = ("--scene", "turntable", "--size", "12", "--animate", "turntable", "-q")
+    assert run("m", *options, "--frames", "2", "-o", "b.exr")[0] == 0
+    assert read_exr(Path("b_0001.exr")).pixels.any()
+
+
+def test_sheet(run):
+    assert run("m", "--sheet", "3x2", "--size", "10x8", "-o", "a.png", "-q")[0] == 0
+    assert cv2.imread("a.png").shape == (16, 30, 3)
+
+
+def test_foreign_maps(run, tmp_path):
+    folder = tmp_path / "bricks"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "Bricks_Color.png"), np.full((8, 8, 3), 128, dtype=np.uint8))
+    cv2.imwrite(str(folder / "Bricks_Normal.png"), np.full((8, 8, 3), 128, dtype=np.uint8))
+    code, _, err = run("--maps-from", "bricks", "-o", "a.png")
+    assert code == 0
+    assert "which way green points" in err
+    assert cv2.imread("a.png").shape == (8, 8, 3)
+    assert "green" not in run("--maps-from", "bricks", "--normal", "dx", "-o", "b.png")[2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("m", "-o", "a.gif"), 2, "use .png or .exr"),
+        (("m", "-o", "a.png", "--animate", "light-orbit"), 2, "use .gif, .mp4 or .exr"),
+        (("m", "--light", "sun"), 2, "is not a light"),
+        (("m", "--scene", "nowhere"), 2, "there is no such scene"),
+        (("m", "--scene", "nowhere.toml"), 3, "no such file"),
+        (("m", "--scene", "scene.toml", "--light", "top"), 2, "its own lights"),
+        (("m", "--effects", "+shadow"), 2, "is not an effect to switch"),
+        (
+            ("m", "--sheet", "2x2", "--animate", "light-orbit", "-o", "a.gif"),
+            2,
+            "--sheet one picture",
+        ),
+        (("nowhere",), 3, "no such file"),
+        (("--maps-from", "nowhere"), 3, "no such folder"),
+    ],
+)
+def test_mistakes(run, tmp_path, arguments, code, message):
+    found, out, err = run(*arguments)
+    assert found == code
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m", "scene.toml"]
+
+
+# `--light flash` is the photograph again: matcap.flash.light's picture, from the same camera.
+
+
+SETUP_OF_A_PHONE = FlashSetup(
+    fov=64.0, offset=(0.1, -0.04, 0.02), intensity=(5.0, 4.0, 3.0), vignetting=0.4,
+    vignetting_centre=(0.05, -0.2),
+)  # fmt: skip
+# What the flash renderer has, too.
+SAME = "none,+diffuse,+specular,+falloff"
+
+
+def relit(maps: MapSet, setup: FlashSetup, *, effects="auto", size=None):
+    scene = photographed_scene(setup, Film(*(size or maps.size)), endless=False)
+    return Renderer(maps, scene).render(effects=effects).radiance
+
+
+@pytest.mark.parametrize("vignetting", [(0.4, 0.0), (0.0, 0.0), (-0.3, 0.0), (0.0, 0.9)])
+def test_a_photograph_from_straight_above_is_rendered_alike(vignetting):
+    maps = bumpy(64, 48, relief=0.02)
+    first, second = vignetting
+    setup = replace(SETUP_OF_A_PHONE, vignetting=first, vignetting_quartic=second)
+    expected = render_rectified(maps, setup).movedim(0, -1).numpy()
+    np.testing.assert_allclose(relit(maps, setup, effects=SAME), expected, rtol=2e-4)
+
+
+@pytest.mark.parametrize("tilt", [(0.1, 0.0), (0.0, -0.12), (0.09, 0.13)])
+@pytest.mark.parametrize("size", [(48, 36), (36, 48)])
+def test_a_tilted_photograph_is_rendered_alike(tilt, size):
+    setup = replace(SETUP_OF_A_PHONE, tilt=tilt)
+    maps = flat(64, 64)
+    scene = photographed_scene(setup, Film(*size), endless=True)
+    found = Renderer(maps, scene).render(effects=SAME).radiance
+    long = max(size)
+    across = (torch.arange(size[0], dtype=torch.float64) * 2 + 1 - size[0]) / long
+    down = (size[1] - 1 - torch.arange(size[1], dtype=torch.float64) * 2) / long
+    image = torch.stack([across.expand(size[1], -1), down[:, None].expand(-1, size[0])])
+    points = unproject(image, setup)
+    expected = (
+        render_flash(flat(*size).map(torch.Tensor.double), setup, points).movedim(0, -1).numpy()
+    )
+    np.testing.assert_allclose(found, expected, rtol=2e-4)
+
+
+def test_a_simulated_photograph_is_shown_again():
+    """Pixel by pixel as bright and as lit, through tilt, lens and automatic exposure."""
+    camera = PhoneCamera(width=96, height=72, blur=0.01, supersampling=1)
+    tilted = FlashSetup(offset=(0.08, 0.05, 0.0), tilt=(0.08, -0.05), vignetting=0.3)
+
+    def card(width, height, texel):
+        return replace(flat(width, height, roughness=0.4), texel_size=texel)
+
+    shot = take(card, camera, tilted)
+    scene = photographed_scene(shot.setup, Film(96, 72), endless=True)
+    found = Renderer(flat(64, 64, roughness=0.4), scene).render().radiance
+    off = np.abs(srgb_encode(found) - srgb_encode(shot.linear))
+    assert off.max() <= 3.0 / 255.0 and off.mean() <= 0.5 / 255.0
+
+
+@pytest.mark.parametrize("vignetting", [(-1.5, 0.0), (0.0, -1.5), (-3.0, 1.5), (1.0, -2.0)])
+def test_negative_vignetting_spends_no_more_than_the_tolerance(vignetting):
+    maps = bumpy(48, 36, relief=1e-3)
+    first, second = vignetting
+    setup = replace(SETUP_OF_A_PHONE, vignetting=first, vignetting_quartic=second)
+    off = srgb_encode(relit(maps, setup)) - srgb_encode(relit(maps, setup, effects="all"))
+    assert np.abs(off).max() <= DEFAULT_TOLERANCE
+
+
+def test_the_command_shows_the_photographed_piece_as_photographed(tmp_path, monkeypatch):
+    maps = bumpy(24, 16, relief=0.0)
+    monkeypatch.chdir(tmp_path)
+    about = {"of": "the photographed piece", SETUP: asdict(SETUP_OF_A_PHONE)}
+    write_mapset(maps, tmp_path / "m", MapSetInfo("m" + PIECE, provenance=about))
+    options = ("--light", "flash", "--effects", SAME, "-q", "-o")
+    assert main(["relight", "m", *options, "flash.exr"]) == 0
+    expected = render_rectified(maps, SETUP_OF_A_PHONE).movedim(0, -1).numpy()
+    np.testing.assert_allclose(
+        read_exr(tmp_path / "flash.exr").pixels, expected, rtol=5e-3, atol=1e-4
+    )
+    assert main(["relight", "m", *options, "small.png", "--size", "12x8"]) == 0
+    assert cv2.imread("small.png").shape == (8, 12, 3)
+    # Of maps whose photograph nobody knows, it is the light at the lens, as bright as the others.
+    document = json.loads((tmp_path / "m" / f"m{PIECE}.json").read_text())
+    document["provenance"] = {}
+    (tmp_path / "m" / f"m{PIECE}.json").write_text(json.dumps(document))
+    assert main(["relight", "m", *options, "named.exr"]) == 0
+    assert np.abs(read_exr(tmp_path / "named.exr").pixels / expected - 1.0).max() > 0.1

@@ -15,7 +15,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from simulated.photographs import Shot, noisy
 
-from matcap.files.srgb import srgb_picture
+from matcap.files.color import srgb_picture
 
 BLACK, WHITE = 64, 4095
 CFA, LINEAR_RAW = 32803, 34892

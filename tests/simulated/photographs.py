@@ -18,10 +18,18 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
-from matcap.flash.extent import OWN, Extent
-from matcap.flash.geometry import FlashSetup, plane_points, unproject
-from matcap.flash.light import CORNER_SQUARED
-from matcap.flash.render import render_flash, shade
+from matcap.flash.geometry import (
+    OWN,
+    Extent,
+    FlashSetup,
+    plane_points,
+    unproject,
+)
+from matcap.flash.light import (
+    CORNER_SQUARED,
+    render_flash,
+    shade,
+)
 from matcap.photo.photo import Photo
 
 Piece = Callable[[int, int, float], MapSet]

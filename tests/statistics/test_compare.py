@@ -1,21 +1,32 @@
-"""Descriptors and their distance: zero for the same, small for alike, large for unlike."""
+"""Texture descriptors and distances."""
 
 from dataclasses import replace
 
 import pytest
 import torch
 import torch.nn.functional as F
+from safetensors.torch import save_file
 
+from matcap.capture.by_decoder import Vgg19, _features, load_vgg19
+from matcap.capture.settings import CaptureSettings, Statistics
+from matcap.errors import MatcapError, UsageError
 from matcap.statistics.compare import (
     QUANTILES,
     Descriptor,
+    FilterBank,
+    FilterBankConfig,
     Weights,
     _quantiles,
     describe,
     distance,
+    fit_encoding,
+    gram,
+    moments,
+    pyramid,
 )
-from matcap.statistics.encoding import fit_encoding
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig
+
+# Descriptors and their distance: zero for the same, small for alike, large for unlike.
+
 
 BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=16, levels=3))
 KINDS = ("gram", "cross", "spectrum", "histogram", "mean")
@@ -146,3 +157,216 @@ def test_quantiles_are_those_of_sorted_colours_with_or_without_a_gradient(dtype)
     expected = expected.unflatten(2, (QUANTILES, chunk)).mean(dim=3)
     for needed in (False, True):
         assert torch.equal(_quantiles(level.clone().requires_grad_(needed)), expected)
+
+
+# Random filters, their pyramid, and Gram matrices with their gradient.
+
+
+SMALL = FilterBankConfig(sizes=(3, 5), filters=4, levels=3)
+
+
+def picture(height, width, *, seed=0, dtype=torch.float32):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(1, 3, height, width, generator=generator, dtype=dtype)
+
+
+def test_filters_have_zero_mean_and_unit_norm_and_differ():
+    for weight in FilterBank(SMALL).weights:
+        assert weight.sum(dim=(2, 3)).abs().max() < 1e-5
+        assert torch.allclose(weight.flatten(1).norm(dim=1), torch.ones(4))
+        flat = weight.flatten(1)
+        assert (flat @ flat.T - torch.eye(4)).abs().max() < 0.9
+
+
+def test_the_seed_makes_the_filters_and_nothing_else_does():
+    torch.manual_seed(1)
+    first = FilterBank(SMALL)
+    torch.manual_seed(2)
+    again = FilterBank(SMALL)
+    other = FilterBank(FilterBankConfig(sizes=(3, 5), filters=4, levels=3, seed=5))
+    for a, b, c in zip(first.weights, again.weights, other.weights, strict=True):
+        assert torch.equal(a, b)
+        assert not torch.equal(a, c)
+
+
+def test_a_constant_picture_has_no_response():
+    features = FilterBank(SMALL).features(torch.full((1, 3, 20, 24), 3.0))
+    assert features.shape == (1, 8, 16, 20)
+    assert features.abs().max() < 1e-4
+
+
+def test_nothing_is_invented_at_the_border():
+    bank, whole = FilterBank(SMALL), picture(24, 28)
+    inner = bank.features(whole[..., 3:-2, 4:-1])
+    assert torch.allclose(inner, bank.features(whole)[..., 3:-2, 4:-1], atol=1e-5)
+
+
+def test_responses_are_rectified_and_grow_with_contrast():
+    bank, image = FilterBank(SMALL), picture(20, 20)
+    features = bank.features(image)
+    assert features.min() == 0
+    assert (features > 0).float().mean() > 0.3
+    assert torch.allclose(bank.features(3.0 * image), 3.0 * features, atol=1e-4)
+
+
+def test_gradients_are_the_derivatives():
+    bank = FilterBank(FilterBankConfig(sizes=(3,), filters=2))
+    image = picture(6, 6, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(bank.features, (image,))
+
+
+@pytest.mark.parametrize(("side", "levels"), [(160, 4), (64, 3), (31, 1), (16, 1)])
+def test_a_pyramid_halves_keeps_the_mean_and_stops_in_time(side, levels):
+    image = picture(side, side)
+    found = pyramid(image, 5)
+    assert [level.shape[-1] for level in found] == [side >> k for k in range(levels)]
+    if side % 8 == 0:
+        for level in found:
+            assert torch.allclose(level.mean((2, 3)), image.mean((2, 3)), atol=1e-5)
+
+
+def plain(features):
+    """What gram() is a fast form of."""
+    ones = torch.ones_like(features[:, :1])
+    flat = torch.cat([features, ones], dim=1).flatten(2)
+    return torch.einsum("bin,bjn->bij", flat, flat) / flat.shape[2]
+
+
+def covariance(fine, coarse):
+    return moments([fine, coarse], crossed=True)[1][0]
+
+
+def features(shape, *, seed=0):
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+@pytest.mark.parametrize("shape", [(2, 5, 7, 9), (1, 1, 1, 1), (3, 8, 1, 4)])
+def test_second_moments_and_means(shape, layout):
+    given = features(shape).contiguous(memory_format=layout)
+    found = gram(given)
+    assert found.dtype == torch.float32
+    assert torch.allclose(found, plain(given), atol=1e-5)
+    assert torch.allclose(found[:, -1, :-1], given.mean((2, 3)), atol=1e-6)
+
+
+def test_gradient_is_the_plain_sums():
+    weights = features((2, 6, 6), seed=1)  # not symmetric: a gradient that assumes it would fail
+    given = features((2, 5, 6, 7)).requires_grad_()
+    (gram(given) * weights).sum().backward()
+    reference = given.detach().double().requires_grad_()
+    (plain(reference) * weights).sum().backward()
+    assert torch.allclose(given.grad.double(), reference.grad, atol=1e-6)
+
+
+def test_half_precision_comes_back_as_float32():
+    given = features((1, 4, 8, 8))
+    found = gram(given.bfloat16())
+    assert found.dtype == torch.float32
+    assert (found - plain(given)).abs().max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("fine", "coarse"), [((12, 16), (6, 8)), ((12, 16), (4, 6)), ((9, 11), (4, 3))]
+)
+def test_covariances_across_levels_are_those_of_the_middles_that_meet(fine, coarse):
+    generator = torch.Generator().manual_seed(0)
+    one = torch.randn(2, 3, *fine, generator=generator, dtype=torch.float64).requires_grad_()
+    other = torch.randn(2, 5, *coarse, generator=generator, dtype=torch.float64).requires_grad_()
+    halved = F.avg_pool2d(one, 2)
+    height, width = (min(a, b) for a, b in zip(halved.shape[2:], coarse, strict=True))
+    y, x = ((a - b) // 2 for a, b in zip(halved.shape[2:], (height, width), strict=True))
+    v, u = ((a - b) // 2 for a, b in zip(coarse, (height, width), strict=True))
+    a = halved[..., y : y + height, x : x + width].flatten(2)
+    b = other[..., v : v + height, u : u + width].flatten(2)
+    means = a.mean(2)[:, :, None] * b.mean(2)[:, None, :]
+    expected = a @ b.transpose(1, 2) / (height * width) - means
+    assert torch.allclose(covariance(one, other).double(), expected, atol=1e-6)
+    weight = torch.randn(2, 3, 5, generator=generator)
+    found = torch.autograd.grad((covariance(one, other) * weight).sum(), (one, other))
+    wanted = torch.autograd.grad((expected * weight).sum(), (one, other))
+    for slope, reference in zip(found, wanted, strict=True):
+        assert torch.allclose(slope, reference, atol=1e-6)
+
+
+def test_constant_features_have_no_covariance_and_a_finite_gradient():
+    one = torch.full((1, 2, 8, 8), 3.0, requires_grad=True)
+    found = covariance(one, torch.full((1, 2, 4, 4), 5.0))
+    assert found.abs().max() < 1e-6
+    found.sum().backward()
+    assert bool(torch.isfinite(one.grad).all())
+
+
+# VGG-19 with random weights: its shape, its file, and textures compared by it.
+
+
+@pytest.fixture(scope="module")
+def network():
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        return Vgg19(levels=2)
+
+
+def vgg_picture(seed=0, side=48):
+    return 0.4 * torch.rand(1, 3, side, side, generator=torch.Generator().manual_seed(seed))
+
+
+def test_its_parameters_have_torchvisions_names_and_shapes(network):
+    shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+    assert shapes["features.0.weight"] == (64, 3, 3, 3)
+    assert shapes["features.10.weight"] == (256, 128, 3, 3)
+    assert shapes["features.28.bias"] == (512,)
+    assert len(shapes) == 2 * 13
+    assert not any(parameter.requires_grad for parameter in network.parameters())
+
+
+def test_five_layers_are_looked_at(network):
+    found = network.maps(vgg_picture(), ())
+    assert [tuple(f.shape[1:]) for f in found] == [
+        (64, 48, 48), (128, 24, 24), (256, 12, 12), (512, 6, 6), (512, 3, 3),
+    ]  # fmt: skip
+    assert all(f.min() >= 0 for f in found)
+
+
+def test_textures_are_compared_and_the_gradient_reaches_the_picture(network):
+    encoding = fit_encoding(vgg_picture()[0], torch.ones(48, 48, dtype=torch.bool))
+    target = describe(vgg_picture(), encoding, network)
+    assert len(target.grams) == 5 and len(target.spectra) == 2
+    assert float(distance(target, target, Weights())) == 0
+    rendered = torch.cat([vgg_picture(1)[..., :24, :], torch.zeros(1, 3, 24, 48)], dim=2)
+    rendered.requires_grad_()
+    loss = distance(describe(rendered, encoding, network), target, Weights()).sum()
+    loss.backward()
+    assert torch.isfinite(rendered.grad).all() and rendered.grad.abs().max() > 0
+
+
+def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path):
+    path = tmp_path / "vgg19.safetensors"
+    extra = {"classifier.0.weight": torch.zeros(2, 2)}  # the published file holds more
+    save_file({**network.state_dict(), **extra}, path)
+    read = _features(CaptureSettings(statistics=Statistics.parse(f"vgg19={path}")))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(read.state_dict().values(), network.state_dict().values(), strict=True)
+    )
+    save_file({"features.0.weight": torch.zeros(64, 3, 5, 5)}, path)
+    other = tmp_path / "vgg19.pth"
+    other.write_bytes(b"something else")
+    for wrong, why in [(path, "not VGG-19"), (other, "SHA-256"), (tmp_path / "none", "no such")]:
+        with pytest.raises(MatcapError, match=why):
+            load_vgg19(wrong)
+
+
+@pytest.mark.parametrize("statistics", ["vgg19", "vgg16", ""])
+def test_unknown_statistics_are_wrong_usage(statistics):
+    with pytest.raises(UsageError, match="no statistics"):
+        Statistics.parse(statistics)
+
+
+@pytest.mark.parametrize("words", ["filterbank", "vgg19=some/file.pth"])
+def test_settings_tell_of_statistics_in_words(words):
+    settings = CaptureSettings.of({"statistics": words})
+    assert settings.statistics == Statistics.parse(words)
+    assert settings.named()["statistics"] == str(settings.statistics) == words
+    assert CaptureSettings.of(settings.named()) == settings
+    assert CaptureSettings().named()["statistics"] == "filterbank"

@@ -1,11 +1,14 @@
-"""Plane waves put into a picture come out of it; noise has none."""
+"""Spectra and lattices."""
 
 import math
 
 import pytest
 import torch
 
-from matcap.statistics.lattice import find_lattice
+from matcap.statistics.lattice import autocorrelation, find_lattice, power_spectrum
+
+# Plane waves put into a picture come out of it; noise has none.
+
 
 SIZE = 384
 # Cycles per texel by which a found wave may miss: a twentieth of a bin of 1/256, so that over the
@@ -103,3 +106,53 @@ def test_a_check_has_the_periods_of_all_its_stripes(along_x, along_y):
     # And no finer than that: the cell is one period of the check.
     (ax, ay), (bx, by) = ((w.fx, w.fy) for w in lattice.waves)
     assert abs(ax * by - ay * bx) * along_x * along_y == pytest.approx(1.0, rel=0.02)
+
+
+# Power spectra and autocorrelations against closed forms and plain sums.
+
+
+def spectrum_noise(*shape, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(shape, generator=generator, dtype=torch.float64)
+
+
+def cosine(size, fx, fy, phase=0.3):
+    rows, columns = torch.meshgrid(*[torch.arange(size, dtype=torch.float64)] * 2, indexing="ij")
+    turns = (fx * columns + fy * rows) / size
+    return torch.cos(2.0 * math.pi * turns + phase)[None, None]
+
+
+def test_white_noise_has_unit_power_everywhere():
+    power = power_spectrum(spectrum_noise(200, 1, 16, 24)).mean(0)[0]
+    middle = power[2:-2, 2:-1]  # away from zero frequency, where the mean was taken off
+    assert (middle - 1.0).abs().max() < 0.4  # deviation 1 / sqrt(200) each
+    assert float(middle.mean()) == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_cosine_stands_at_its_own_frequency():
+    power = power_spectrum(cosine(32, 5, -3))[0, 0]
+    row, column = divmod(int(power.argmax()), power.shape[1])
+    assert (row, column) == (32 - 3, 5)
+    far = power.clone()
+    far[-5:-1, 3:8] = 0.0
+    assert far.max() < 1e-12 * power.max()  # a Hann window leaks two bins and no further
+
+
+@pytest.mark.parametrize("size", [(12, 16), (13, 9)])
+def test_autocorrelation_is_the_plain_sum_over_lags(size):
+    image, reach = spectrum_noise(1, 2, *size), 3
+    hann = [torch.hann_window(s, periodic=True, dtype=torch.float64) for s in size]
+    window = hann[0][:, None] * hann[1]
+    centred = (image - image.mean((2, 3), keepdim=True)) * window
+    found = autocorrelation(image, reach)
+    assert found.shape == (1, 2, reach + 1, 2 * reach + 1)
+    for row in range(reach + 1):
+        for column in range(-reach, reach + 1):
+            moved = torch.roll(centred, (-row, -column), (2, 3))
+            expected = (centred * moved).sum((2, 3)) / window.square().sum()
+            assert torch.allclose(found[..., row, reach + column], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("statistic", [power_spectrum, lambda i: autocorrelation(i, 2)])
+def test_gradients_are_the_derivatives(statistic):
+    assert torch.autograd.gradcheck(statistic, (spectrum_noise(1, 1, 6, 8).requires_grad_(),))

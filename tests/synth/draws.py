@@ -10,10 +10,16 @@ from pathlib import Path
 
 import torch
 
-from matcap.field.blocks import Grid, block_parts
-from matcap.field.field import inner, read_source
-from matcap.field.plane import Rectangle
-from matcap.field.single import single_threaded
+from matcap.field.plane import (
+    Grid,
+    Rectangle,
+    block_parts,
+)
+from matcap.field.source import (
+    inner,
+    read_source,
+    single_threaded,
+)
 
 PLACES = (0, 2**31, 2**40)
 

@@ -5,7 +5,10 @@ from contextlib import suppress
 import pytest
 import torch
 
-from matcap.field.single import one_thread, single_threaded
+from matcap.field.source import (
+    one_thread,
+    single_threaded,
+)
 
 pytestmark = pytest.mark.usefixtures("two_threads")
 

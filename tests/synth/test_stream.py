@@ -1,7 +1,8 @@
-"""Rectangles of any size to files: whatever the way there, the same bytes."""
+"""Synthesis to files."""
 
 import json
 import pickle
+import platform
 import signal
 import subprocess
 import sys
@@ -17,15 +18,17 @@ import pytest
 import torch
 
 from matcap.brdf.folder import MapSetInfo, read_mapset
-from matcap.errors import MatcapError
-from matcap.field.blocks import Grid
-from matcap.field.field import Field, read_source
-from matcap.field.plane import Rectangle
+from matcap.errors import MatcapError, UsageError
+from matcap.field.plane import Grid, Rectangle
+from matcap.field.source import Field, find_device, read_source, repeatable
+from matcap.space.tuned import DecoderSource
 from matcap.synth import workers
-from matcap.synth.fields import OpenedField
-from matcap.synth.jobs import rendered
-from matcap.synth.request import SynthRequest, Work
-from matcap.synth.stream import write_field
+from matcap.synth.request import OpenedField, SynthRequest, Work
+from matcap.synth.stream import synthesise, write_field
+from matcap.synth.workers import rendered
+
+# Rectangles of any size to files: whatever the way there, the same bytes.
+
 
 # Blocks much smaller than the shipped ones: many of them take little time.
 SMALL = Grid(128, 64)
@@ -181,3 +184,180 @@ def test_smaller_levels_are_averages(material, tmp_path):
     write_field(*request(material, area, mipmap=True, period=period), tmp_path / "again", Work(3))
     first, again = contents(tmp_path), contents(tmp_path / "again")
     assert all(again[name] == digest for name, digest in first.items() if name.endswith(".exr"))
+
+
+# Python can do what `matcap synth` does.
+
+
+def test_a_request_is_written_as_the_field_reads(material, tmp_path):
+    asked = SynthRequest(material, Rectangle(-20, 7, 48, 32), seed=3)
+    file = synthesise(asked, tmp_path / "set")
+    maps, document = read_mapset(file)
+    expected = material.maps(48, 32, seed=3, x=-20, y=7)
+    torch.testing.assert_close(maps.height, expected.height)
+    assert (document["name"], document["seed"]) == (material.name, 3)
+    assert (document["x"], document["y"]) == (-20, 7)
+
+
+@pytest.mark.parametrize(
+    ("tile", "period"), [("both", [64, 32]), ("x", [64, None]), ("y", [None, 32])]
+)
+def test_what_repeats_is_the_whole_of_what_is_written(material, tmp_path, tile, period):
+    area = Rectangle(0, 0, 32, 32)
+    asked = SynthRequest(material, area, name="two", udim=(2, 1), tile=tile)
+    document = json.loads(synthesise(asked, tmp_path / "set").read_text())
+    assert document["name"] == "two" and document["period"] == period
+
+
+def test_a_seed_out_of_range_is_a_usage_error(material, tmp_path):
+    with pytest.raises(UsageError, match="out of range"):
+        synthesise(SynthRequest(material, Rectangle(0, 0, 8, 8), seed=2**63), tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Large buffers are used again, in threads too: fresh pages can cost as much as the computing.
+
+
+TESTS = Path(__file__).parents[1]
+PROGRAM = """
+import resource, sys
+from matcap.space.decoder import DecoderConfig
+from matcap.space.random_field import Rectangle
+from matcap.field.source import single_threaded
+from matcap.files.process import keep_memory
+from matcap.space.tuned import TunedDecoder
+
+if sys.argv[1] == "kept":
+    keep_memory()
+sys.path.insert(0, sys.argv[2])
+from materials import a_material
+
+config = DecoderConfig(2, (32, 32, 32, 32, 32), (1, 1))
+source = a_material(config=config).part(TunedDecoder).source(0)
+faults = []
+with single_threaded(1) as pool:
+    for _ in range(6):
+        pool.submit(source.maps, Rectangle(0, 0, 512, 256)).result()
+        faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
+print(faults[-1] - faults[2])
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the settings are glibc's")
+def test_the_buffers_of_one_block_serve_the_next():
+    fetched = {}
+    for name in ("as it comes", "kept"):
+        command = [sys.executable, "-c", PROGRAM, name, str(TESTS)]
+        run = subprocess.run(command, capture_output=True, check=True, text=True)
+        fetched[name] = int(run.stdout)
+    assert fetched["kept"] < 0.1 * fetched["as it comes"]
+
+
+# One device or the other: chosen, refused, never mixed. What needs CUDA is skipped without it.
+
+
+CONVOLUTION = torch.backends.cudnn.conv
+needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+
+
+class OnCuda(DecoderSource):
+    """Says that it is on CUDA, for what only asks."""
+
+    device = torch.device("cuda")
+
+
+def claimed(asked):
+    """A request whose source says so."""
+    request, field = asked
+    return request, replace(field, source=OnCuda(**vars(field.source)))
+
+
+@pytest.mark.parametrize(
+    ("name", "there", "found"),
+    [("auto", True, "cuda"), ("auto", False, "cpu"), ("cpu", True, "cpu"), ("cuda", True, "cuda")],
+)
+def test_the_device_is_what_was_asked_for_and_is_there(monkeypatch, name, there, found):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: there)
+    assert find_device(name) == torch.device(found)
+
+
+def test_cuda_that_is_not_there_is_refused(material, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(UsageError, match="sees no CUDA device; use cpu, or"):
+        Field(material, device="cuda")
+    assert Field(material, device="auto").source.device.type == "cpu"
+
+
+def test_the_processor_again_is_the_same_bits(wavy):
+    source = wavy.generator.source(1)
+    moved = replace(source, decoder=source.decoder.to(torch.device("cpu")))
+    block = Rectangle(-512, 256, 64, 32)
+    assert torch.equal(source.maps(block), moved.maps(block))
+
+
+def test_nothing_of_a_block_is_left_on_the_processor(wavy):
+    """A device without memory stands for CUDA: it refuses operands that lie elsewhere."""
+    source = wavy.generator.source(1, device=torch.device("meta"))
+    maps = source.maps(Rectangle(0, 0, 64, 32))
+    assert (maps.device.type, maps.shape, maps.dtype) == ("meta", (6, 34, 66), torch.float32)
+
+
+@pytest.mark.parametrize("everything", ["none", "tf32"])
+def test_convolutions_are_exact_for_a_while(monkeypatch, everything):
+    """Also where the process wants TF32 everywhere."""
+    monkeypatch.setattr(torch.backends, "fp32_precision", everything)
+    before = CONVOLUTION.fp32_precision
+    with pytest.raises(KeyError), repeatable(torch.device("cuda")):
+        assert CONVOLUTION.fp32_precision == "ieee"
+        assert torch.backends.cudnn.deterministic
+        raise KeyError
+    assert CONVOLUTION.fp32_precision == before == "tf32"
+    assert not torch.backends.cudnn.deterministic
+    with repeatable(torch.device("cpu")):
+        assert CONVOLUTION.fp32_precision == before
+
+
+def test_a_run_is_not_resumed_on_another_device(material, tmp_path):
+    def full(_now):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(MatcapError, match="full"):
+        write_field(*request(material), tmp_path, Work(progress=full))
+    with pytest.raises(MatcapError, match="begun on cpu; cuda rounds differently; give --device"):
+        write_field(*claimed(request(material)), tmp_path, Work(resume=True))
+    # The refusal took nothing away.
+    write_field(*request(material), tmp_path, Work(resume=True))
+    write_field(*request(material), tmp_path / "whole")
+    assert contents(tmp_path) == contents(tmp_path / "whole")
+
+
+def test_a_cluster_is_not_sent_to_cuda(material, tmp_path):
+    with pytest.raises(UsageError, match="CPUs"):
+        write_field(*claimed(request(material)), tmp_path, Work(scheduler="tcp://127.0.0.1:9"))
+
+
+@needs_cuda
+def test_cuda_gives_the_processors_maps(wavy):
+    area = (-200, 100, 700, 300)
+    here, there = (Field(wavy, 3, device=name).read(*area) for name in ("cpu", "cuda"))
+    assert there.height.device.type == "cpu"
+    for kind in ("diffuse", "specular", "roughness"):
+        assert float((getattr(here, kind) - getattr(there, kind)).abs().max()) < 1e-4
+    assert float((here.height - there.height).abs().max()) < 1e-4 * float(here.height.std())
+
+
+@needs_cuda
+def test_cuda_repeats_its_bits_whatever_is_asked_for(wavy):
+    field = Field(wavy, 3, device="cuda")
+    whole = field.read(-200, 100, 700, 300, workers=3).stacked()
+    part = field.read(-50, 190, 170, 100, workers=1).stacked()
+    assert torch.equal(part, whole[:, 90:190, 150:320])
+
+
+@needs_cuda
+def test_workers_change_no_byte_on_cuda(material, tmp_path):
+    asked, field = request(material, ODD)
+    source = replace(field.source, decoder=field.source.decoder.to(torch.device("cuda")))
+    for count in (1, 3):
+        write_field(asked, replace(field, source=source), tmp_path / str(count), Work(count))
+    assert contents(tmp_path / "1") == contents(tmp_path / "3")

@@ -10,10 +10,12 @@ import pytest
 
 from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
-from matcap.field.blocks import Grid
-from matcap.field.plane import Rectangle
-from matcap.synth.fields import OpenedField
-from matcap.synth.request import SynthRequest, Work
+from matcap.field.plane import Grid, Rectangle
+from matcap.synth.request import (
+    OpenedField,
+    SynthRequest,
+    Work,
+)
 from matcap.synth.stream import write_field
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")
@@ -55,7 +57,7 @@ def test_a_worker_is_killed_half_way(material, tmp_path, cluster):
 
 
 def test_nobody_answers(material, tmp_path, monkeypatch):
-    monkeypatch.setattr("matcap.files.cluster._PATIENCE", 0.5)
+    monkeypatch.setattr("matcap.files.process._PATIENCE", 0.5)
     field = OpenedField(material.generator.source(2), MapSetInfo("m", 2))
     request = SynthRequest(Path("m"), Rectangle(0, 0, 8, 8)), field
     with pytest.raises(MatcapError, match="no dask scheduler answers"):

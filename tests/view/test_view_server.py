@@ -18,15 +18,37 @@ from random_maps import random_maps
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.errors import MatcapError
 from matcap.example.example import Example
-from matcap.field.field import Field
 from matcap.field.plane import Rectangle
+from matcap.field.source import Field
 from matcap.files.exr import write_exr
-from matcap.view.document import SCRIPTS, STYLE
-from matcap.view.level_of_detail import ExampleLevels, ExemplarAverages, NetworkLevels
-from matcap.view.moments import edged, halved, moments_of
-from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, Pages, Place
-from matcap.view.references import EncodedPicture, References, doubt_picture, read_verdict
-from matcap.view.subject import Maps, Materials
+from matcap.view.document import (
+    SCRIPTS,
+    STYLE,
+)
+from matcap.view.level_of_detail import (
+    ExampleLevels,
+    ExemplarAverages,
+    NetworkLevels,
+    edged,
+    halved,
+    moments_of,
+)
+from matcap.view.pages import (
+    APRON,
+    MIPS,
+    PAGE_HEIGHT,
+    WIDTH,
+    EncodedPicture,
+    Pages,
+    Place,
+    References,
+    doubt_picture,
+    read_verdict,
+)
+from matcap.view.subject import (
+    Maps,
+    Materials,
+)
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")

@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields
 from importlib import import_module
 from types import ModuleType
 
-from matcap.batch.settings import SETTINGS
+from matcap.batch.samples import SETTINGS
 from matcap.brdf.folder import MEANINGS, PNG_ENCODINGS
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.settings import Statistics
@@ -57,7 +57,7 @@ _OWNED = (
     ("Map set: a folder", "matcap.brdf.folder", ("Keys",)),
     ("Export: `NAME_TARGET.json`", "matcap.export.targets", ("Keys",)),
     ("Report: `report.json`", "matcap.capture.report", ("Keys",)),
-    ("Page for sending: `.html`", "matcap.view.enclosed", ("Tile", "Piece")),
+    ("Page for sending: `.html`", "matcap.view.document", ("Tile", "Piece")),
 )
 
 

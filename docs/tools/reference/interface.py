@@ -26,7 +26,7 @@ MODULES = {
     "matcap.photo.photo": ("Photo",),
     "matcap.flash.geometry": ("FlashSetup",),
     "matcap.brdf.cook_torrance": ("cook_torrance",),
-    "matcap.synth.synthesise": ("synthesise",),
+    "matcap.synth.stream": ("synthesise",),
     "matcap.synth.request": ("SynthRequest", "Work"),
     "matcap.field.options": ("ReadOptions",),
     "matcap.relight.scene": (
@@ -34,7 +34,7 @@ MODULES = {
         "RectangleLight", "EnvironmentLight",
     ),
     "matcap.relight.render": ("Renderer",),
-    "matcap.relight.named": ("light_orbit",),
+    "matcap.relight.scenefile": ("light_orbit",),
     "matcap.space.between": ("blend",),
     "matcap.space.prior.store": ("Prior", "load_prior"),
     "matcap.view.document": ("sealed_page",),

@@ -17,17 +17,24 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
-from matcap.capture.multiview.mosaic import STEEPEST, sees
+from matcap.capture.multiview.mosaic import (
+    STEEPEST,
+    sees,
+)
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
-from matcap.flash.extent import OWN, Extent
-from matcap.flash.geometry import FlashSetup, flash_mirror_point
+from matcap.flash.geometry import (
+    OWN,
+    Extent,
+    FlashSetup,
+    flash_mirror_point,
+)
+from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
-from matcap.flash.render import render_rectified
 from matcap.photo.photo import Photo
 from matcap_lab.experiment.results import Value
 from matcap_lab.experiment.runner import Configuration, Experiment

@@ -26,12 +26,15 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.inspection import inspect_file
-from matcap.capture.settings import PRESETS, CaptureSettings
+from matcap.capture.settings import (
+    PRESETS,
+    CaptureSettings,
+)
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.material import Material
-from matcap.files.picture import write_picture
-from matcap.files.srgb import srgb_decode_tensor
+from matcap.files.color import srgb_decode_tensor
+from matcap.files.pixels import write_picture
 from matcap_lab.bench import relight
 from matcap_lab.experiment import clocked
 from matcap_lab.experiment.page import Presentation

@@ -28,27 +28,43 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet, with_colour
-from matcap.capture.method import Method
+from matcap.brdf.maps import (
+    MapSet,
+    with_colour,
+)
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
-from matcap.field.device import computes_bfloat16
+from matcap.capture.settings import (
+    QUICK_DETAIL,
+    CaptureSettings,
+    Method,
+)
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-from matcap.files.srgb import srgb_encode_tensor
-from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.render import render_flash
+from matcap.field.source import computes_bfloat16
+from matcap.files.color import srgb_encode_tensor
+from matcap.flash.geometry import (
+    FlashSetup,
+    plane_points,
+)
+from matcap.flash.light import render_flash
 from matcap.space.between import blend
-from matcap.space.decoder import ALIGNMENT, DEPTH, maps_from_raw
+from matcap.space.decoder import (
+    ALIGNMENT,
+    DEPTH,
+    maps_from_raw,
+)
 from matcap.space.freeze import freeze
-from matcap.space.patch import Patch
 from matcap.space.prior.store import load_prior
-from matcap.space.random_field import random_field
+from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
-from matcap.statistics.compare import Weights
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
-from matcap.statistics.gram import gram
+from matcap.statistics.compare import (
+    FilterBank,
+    FilterBankConfig,
+    Weights,
+    gram,
+    pyramid,
+)
 from matcap_lab.experiment.results import Mean, Trial, Value, columns_of, markdown, means, shown
 from matcap_lab.experiment.runner import Configuration, Experiment
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator

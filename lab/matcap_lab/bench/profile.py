@@ -18,10 +18,15 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-from matcap.capture.progress import EXEMPLAR_STAGES, CaptureProgress
-from matcap.capture.settings import PRESETS, CaptureSettings, OutputSettings
+from matcap.capture.settings import (
+    EXEMPLAR_STAGES,
+    PRESETS,
+    CaptureProgress,
+    CaptureSettings,
+    OutputSettings,
+)
 from matcap.errors import MatcapError
-from matcap.files.memory import keep_memory
+from matcap.files.process import keep_memory
 from matcap_lab.experiment.runner import Configuration, Experiment, choose
 
 ABOUT = (

@@ -25,12 +25,15 @@ from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.judge import visible
 from matcap.errors import MatcapError
-from matcap.files.picture import write_picture
+from matcap.files.pixels import write_picture
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
-from matcap.flash.geometry import FlashSetup, plane_points, unproject
+from matcap.flash.geometry import (
+    FlashSetup,
+    plane_points,
+    unproject,
+)
 from matcap.flash.highlight import CELLS, find_highlight, light_of
-from matcap.flash.light import FlashLight
-from matcap.flash.render import uniform_radiance
+from matcap.flash.light import FlashLight, uniform_radiance
 from matcap.photo.exif import phone_fov
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo
@@ -307,7 +310,7 @@ def metals_experiment(
     """Photograph into `out` and capture each.
 
     With `known` the flash's intensity is given, as by a calibration card; else the exposure prior
-    fixes the scale of F0 (capture/exemplar/exposure_prior.py).
+    fixes the scale of F0 (capture/exemplar/mean_parameters.py).
     """
 
     def prepare(subject: Specimen) -> PhotographedMetal:

@@ -17,16 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.srgb import srgb_encode
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
-from matcap.relight.named import SCENES
+from matcap.files.color import srgb_encode
+from matcap.relight.plan import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Film,
     Scene,
     scene_from_light,
 )
-from matcap.relight.scenefile import read_scene
+from matcap.relight.scenefile import SCENES, read_scene
 from matcap.relight.texture import Texture
 from matcap_lab.experiment.page import Presentation
 from matcap_lab.experiment.results import Value

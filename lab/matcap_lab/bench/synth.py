@@ -24,10 +24,9 @@ from torch import Tensor
 
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.field.blocks import Grid
-from matcap.field.field import read_source
-from matcap.field.plane import Rectangle
-from matcap.files.memory import keep_memory
+from matcap.field.plane import Grid, Rectangle
+from matcap.field.source import read_source
+from matcap.files.process import keep_memory
 from matcap.space.decoder import (
     CODE_SIZE,
     DEPTH,
@@ -37,9 +36,7 @@ from matcap.space.decoder import (
     DecoderConfig,
 )
 from matcap.space.freeze import freeze
-from matcap.space.lattice_channels import WAVE_CHANNELS
-from matcap.space.noise import noise_field
-from matcap.space.patch import Patch
+from matcap.space.random_field import WAVE_CHANNELS, Patch, noise_field
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench.floors import true_exemplar
 from matcap_lab.experiment.results import Value

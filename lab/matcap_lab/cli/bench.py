@@ -13,10 +13,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.capture.settings import CaptureSettings
-from matcap.cli.fields import NOTHING, Fields, Given, with_settings
-from matcap.cli.options import JsonOption, printer, typed
+from matcap.cli.options import (
+    NOTHING,
+    Fields,
+    Given,
+    JsonOption,
+    printer,
+    typed,
+    with_settings,
+)
 from matcap.errors import UsageError
-from matcap.files import values
+from matcap.files import settings as values
 
 if TYPE_CHECKING:
     from matcap_lab.experiment.results import Trial

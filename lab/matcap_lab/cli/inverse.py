@@ -7,8 +7,12 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import QuietOption, printer, typed
-from matcap.files import values
+from matcap.cli.options import (
+    QuietOption,
+    printer,
+    typed,
+)
+from matcap.files import settings as values
 
 app = typer.Typer(
     help="Train the network that predicts maps from a photograph.", no_args_is_help=True

@@ -18,9 +18,17 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
-from matcap.capture.exemplar.tint import seen_colour, specular_tint
-from matcap.flash.render import shade
+from matcap.capture.exemplar.material_classes import (
+    seen_colour,
+    specular_tint,
+)
+from matcap.capture.exemplar.network.network import (
+    ERRORS,
+    ExpectedErrors,
+    Inverse,
+    NetworkAnswer,
+)
+from matcap.flash.light import shade
 from matcap_lab.experiment.results import markdown
 from matcap_lab.inverse.samples import HELD_OUT, PackedSet, Sample, draw_sample
 from matcap_lab.inverse.train import (

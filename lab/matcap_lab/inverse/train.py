@@ -21,9 +21,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import dot
-from matcap.brdf.normals import normals_from_height
-from matcap.brdf.parameters import Reflectance, SurfaceParameters
+from matcap.brdf.cook_torrance import (
+    Reflectance,
+    SurfaceParameters,
+    dot,
+)
+from matcap.brdf.maps import normals_from_height
+from matcap.capture.exemplar.material_classes import (
+    seen_colour,
+    specular_tint,
+)
 from matcap.capture.exemplar.network.network import (
     FORMAT,
     VERSION,
@@ -33,12 +40,15 @@ from matcap.capture.exemplar.network.network import (
     NetworkAnswer,
     read_inverse,
 )
-from matcap.capture.exemplar.tint import seen_colour, specular_tint
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.flash.light import FlashLight
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
-from matcap.statistics.gram import gram
+from matcap.statistics.compare import (
+    FilterBank,
+    FilterBankConfig,
+    gram,
+    pyramid,
+)
 from matcap_lab.inverse.samples import HELD_OUT, REAL_SHARE, Sample, draw_sample, training_sets
 from matcap_lab.measures.evaluator import spherical
 from matcap_lab.simulate.varied import HELD_OUT_PATTERNS

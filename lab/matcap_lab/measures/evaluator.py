@@ -20,12 +20,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.verdict.highlight import FAR, NEAR
+from matcap.capture.verdict.causes import (
+    FAR,
+    NEAR,
+)
 from matcap.errors import MatcapError
-from matcap.files.rec709 import LUMINANCE
-from matcap.files.srgb import srgb_encode_tensor
-from matcap.flash.geometry import FlashSetup, plane_points
-from matcap.flash.render import shade
+from matcap.files.color import LUMINANCE, srgb_encode_tensor
+from matcap.flash.geometry import (
+    FlashSetup,
+    plane_points,
+)
+from matcap.flash.light import shade
 from matcap_lab.measures.nsd import WEIGHTS, SqueezeNet, SqueezeNetStyle, StyleRatio
 from matcap_lab.measures.style import Style
 from matcap_lab.simulate.photograph import PhoneCamera, in_strips

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors
-from matcap.statistics.gram import gram
+from matcap.statistics.compare import gram
 from matcap_lab.measures.style import Group, Style, StyleStatistics, difference
 
 WEIGHTS = Path(__file__).parent / "weights" / "squeezenet_v1.1.ncnn.bin"

@@ -29,9 +29,13 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.files.srgb import srgb_decode
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig, pyramid
-from matcap.statistics.gram import gram
+from matcap.files.color import srgb_decode
+from matcap.statistics.compare import (
+    FilterBank,
+    FilterBankConfig,
+    gram,
+    pyramid,
+)
 from matcap_lab.simulate.files import REC709_TO_XYZ
 
 

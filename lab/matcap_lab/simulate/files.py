@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from matcap.files.color import srgb_picture
 from matcap.files.output import Output
-from matcap.files.srgb import srgb_picture
-from matcap.photo.tone import ToneCurve
+from matcap.photo.photo import ToneCurve
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, expose, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).

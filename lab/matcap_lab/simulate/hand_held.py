@@ -22,10 +22,12 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
-from matcap.flash.extent import OWN, Extent
-from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import CORNER_SQUARED
-from matcap.flash.render import shade
+from matcap.flash.geometry import (
+    OWN,
+    Extent,
+    FlashSetup,
+)
+from matcap.flash.light import CORNER_SQUARED, shade
 from matcap_lab.simulate.photograph import (
     PhoneCamera,
     Realise,

@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.geometry import FlashSetup, plane_points, project, unproject
-from matcap.flash.render import render_flash
+from matcap.flash.geometry import (
+    FlashSetup,
+    plane_points,
+    project,
+    unproject,
+)
+from matcap.flash.light import render_flash
 from matcap.photo.photo import Photo
 
 # (width, height, texel_size) to maps: a material and a seed.

@@ -17,11 +17,14 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.integrate import integrate_periodic
-from matcap.brdf.maps import HEIGHT, SURFACE, MapSet
+from matcap.brdf.maps import (
+    HEIGHT,
+    SURFACE,
+    MapSet,
+)
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.relight.foreign.channels import read_channels
-from matcap.relight.foreign.read import metallic_of
+from matcap.relight.foreign.read import metallic_of, read_channels
 from matcap_lab.simulate.files import PHONE, write_dng, write_jpeg
 from matcap_lab.simulate.kinds import kind_of, kinds_known
 from matcap_lab.simulate.named import realise

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.coarse.hypotheses import TiltPrior
+from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
 from matcap.photo.exif import phone_fov
@@ -41,7 +41,10 @@ from matcap.space.alignment import (
     evidence,
     tilt_measurement,
 )
-from matcap.space.picture import log_colour, picture_coordinates
+from matcap.space.encoder import (
+    log_colour,
+    picture_coordinates,
+)
 from matcap_lab.simulate.kinds import KINDS, RandomKind, kind_of
 from matcap_lab.simulate.photograph import (
     PhoneCamera,

@@ -20,14 +20,30 @@ from torch import Tensor
 from matcap.errors import UsageError
 from matcap.files.output import Output
 from matcap.flash.rectify import rectify
-from matcap.space.alignment import load_alignment, save_alignment
-from matcap.space.decoder import CODE_SIZE, Decoder
-from matcap.space.encoder import Encoder
-from matcap.space.picture import picture
-from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean
-from matcap.space.prior.base import VARYING, base_of, varying
-from matcap.space.prior.encoder_input import describe_windows, numbers, texture
-from matcap.space.prior.store import Prior
+from matcap.space.alignment import (
+    load_alignment,
+    save_alignment,
+)
+from matcap.space.decoder import (
+    CODE_SIZE,
+    Decoder,
+)
+from matcap.space.encoder import (
+    Encoder,
+    describe_windows,
+    numbers,
+    picture,
+    texture,
+)
+from matcap.space.prior.store import (
+    VARYING,
+    Anchor,
+    Anchors,
+    ConditionalMean,
+    Prior,
+    base_of,
+    varying,
+)
 from matcap_lab.train.alignment import MATERIALS, report_alignment, train_branch
 from matcap_lab.train.corpus import WAVE_DETAIL, Entry, Pack, build
 from matcap_lab.train.trainer import CHECKPOINT, CURVES

@@ -17,27 +17,58 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from matcap.brdf.maps import MapSet
-from matcap.brdf.slopes import energy_between, relief_difference, shown_energy
+from matcap.brdf.maps import (
+    MapSet,
+    energy_between,
+    relief_difference,
+    shown_energy,
+)
 from matcap.errors import UsageError
 from matcap.field.plane import Rectangle
-from matcap.flash.geometry import camera_in_plane, plane_points
-from matcap.flash.light import FlashLight, vignette
-from matcap.flash.plane import read_plane
-from matcap.flash.render import shade
-from matcap.space.decoder import DEPTH, OUTPUTS, Decoder, DecoderConfig, maps_from_raw
-from matcap.space.encoder import Encoder, EncoderConfig
-from matcap.space.lattice_channels import WAVE_CHANNELS, wave_field
-from matcap.space.noise import noise_field
-from matcap.space.patch import Patch
-from matcap.space.picture import picture
-from matcap.space.prior.base import Base, base_of
-from matcap.space.prior.encoder_input import numbers, texture
-from matcap.space.prior.store import Prior
-from matcap.space.random_field import RandomField
-from matcap.statistics.compare import Descriptor, Weights, describe, distance
-from matcap.statistics.encoding import Encoding
-from matcap.statistics.filterbank import FilterBank
+from matcap.flash.geometry import (
+    camera_in_plane,
+    plane_points,
+)
+from matcap.flash.light import (
+    FlashLight,
+    shade,
+    vignette,
+)
+from matcap.flash.rectify import read_plane
+from matcap.space.decoder import (
+    DEPTH,
+    OUTPUTS,
+    Decoder,
+    DecoderConfig,
+    maps_from_raw,
+)
+from matcap.space.encoder import (
+    Encoder,
+    EncoderConfig,
+    numbers,
+    picture,
+    texture,
+)
+from matcap.space.prior.store import (
+    Base,
+    Prior,
+    base_of,
+)
+from matcap.space.random_field import (
+    WAVE_CHANNELS,
+    Patch,
+    RandomField,
+    noise_field,
+    wave_field,
+)
+from matcap.statistics.compare import (
+    Descriptor,
+    Encoding,
+    FilterBank,
+    Weights,
+    describe,
+    distance,
+)
 from matcap.statistics.lattice import Wave
 from matcap_lab.measures.evaluator import spherical
 from matcap_lab.train.corpus import WAVE_DETAIL, Entry

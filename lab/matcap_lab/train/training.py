@@ -14,13 +14,16 @@ import torch
 from torch import Tensor
 
 from matcap.errors import UsageError
-from matcap.files.srgb import srgb_decode_tensor
+from matcap.files.color import srgb_decode_tensor
 from matcap.space.decoder import DecoderConfig
-from matcap.space.encoder import BACKBONES, EncoderConfig
-from matcap.space.prior.encoder_input import FEATURES, texture
+from matcap.space.encoder import (
+    BACKBONES,
+    FEATURES,
+    EncoderConfig,
+    texture,
+)
 from matcap.space.prior.store import Prior
-from matcap.statistics.compare import Descriptor
-from matcap.statistics.filterbank import FilterBank
+from matcap.statistics.compare import Descriptor, FilterBank
 from matcap_lab.train.corpus import Entry, Pack, first_of_each, srgb_bytes, true_piece
 from matcap_lab.train.step import (
     Model,

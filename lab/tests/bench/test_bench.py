@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 import torch
 
+from matcap.brdf.cook_torrance import METAL_F0
 from matcap.brdf.maps import MapSet
-from matcap.brdf.metals import METAL_F0
 from matcap.field.plane import Rectangle
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.space.decoder import PAPER_CONFIG, Decoder
-from matcap.space.noise import noise_field
-from matcap.space.patch import Patch
+from matcap.space.decoder import (
+    PAPER_CONFIG,
+    Decoder,
+)
+from matcap.space.random_field import Patch, noise_field
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench import fields, floors, reflectance, synth
 from matcap_lab.bench.fields import (

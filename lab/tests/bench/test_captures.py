@@ -16,8 +16,7 @@ from materials import a_material
 from PIL import Image
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.progress import EXEMPLAR_STAGES
-from matcap.capture.settings import PRESETS
+from matcap.capture.settings import EXEMPLAR_STAGES, PRESETS
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.space.tuned import TunedDecoder
@@ -362,7 +361,7 @@ def test_stages_make_up_the_whole(tmp_path):
 
 
 OWN_PEAKS = """
-from matcap.capture.progress import CaptureProgress
+from matcap.capture.settings import CaptureProgress
 from matcap_lab.bench.profile import StageCosts
 costs = StageCosts({}, {}, {})
 for stage, megabytes in (("large", 200), ("small", 1)):

@@ -16,14 +16,17 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_iter, tree_map
 
-from matcap.brdf.maps import HEIGHT, SURFACE
-from matcap.brdf.normals import normals_from_height
-from matcap.capture.exemplar.network.inputs import network_inputs
+from matcap.brdf.maps import (
+    HEIGHT,
+    SURFACE,
+    normals_from_height,
+)
 from matcap.capture.exemplar.network.network import (
     ANSWERS,
     ERRORS,
     Inverse,
     InverseConfig,
+    network_inputs,
     read_inverse,
 )
 from matcap.errors import MatcapError

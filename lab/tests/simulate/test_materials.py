@@ -10,7 +10,7 @@ import torch
 from random_maps import steepness
 
 from matcap.errors import UsageError
-from matcap.flash.render import render_rectified
+from matcap.flash.light import render_rectified
 from matcap_lab.simulate.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
 from matcap_lab.simulate.kinds.metals_and_coats import (
     METAL_F0,

@@ -20,9 +20,13 @@ from PIL import Image
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.flash.geometry import FlashSetup, plane_points, project
+from matcap.flash.geometry import (
+    FlashSetup,
+    plane_points,
+    project,
+)
+from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
-from matcap.flash.render import render_rectified
 from matcap.photo.load import load_photo
 from matcap_lab.simulate.files import gain_map, write_dng, write_jpeg
 from matcap_lab.simulate.hand_held import PhonePhotographs

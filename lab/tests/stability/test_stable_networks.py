@@ -4,8 +4,11 @@ import pytest
 import torch
 from plain_decoder import decoded
 
-from matcap.field.field import Field
-from matcap.field.plane import COORDINATE_LIMIT, Rectangle
+from matcap.field.plane import (
+    COORDINATE_LIMIT,
+    Rectangle,
+)
+from matcap.field.source import Field
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import (
     ALIGNMENT,
@@ -15,10 +18,18 @@ from matcap.space.decoder import (
     DecoderConfig,
     maps_from_raw,
 )
-from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
-from matcap.space.freeze import fold, freeze
-from matcap.space.patch import Patch
-from matcap.space.random_field import random_field
+from matcap.space.encoder import (
+    NUMBERS,
+    PICTURE_CHANNELS,
+    TEXTURE,
+    Encoder,
+    EncoderConfig,
+)
+from matcap.space.freeze import (
+    fold,
+    freeze,
+)
+from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave
 

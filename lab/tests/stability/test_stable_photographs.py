@@ -11,11 +11,13 @@ from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.plane import read_plane
-from matcap.flash.rectify import rectify
+from matcap.flash.rectify import read_plane, rectify
 from matcap.space.tuning.windows import cut_windows
-from matcap.statistics.encoding import fit_encoding
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig
+from matcap.statistics.compare import (
+    FilterBank,
+    FilterBankConfig,
+    fit_encoding,
+)
 from matcap.statistics.lattice import find_lattice
 
 WIDTH, HEIGHT = 96, 72

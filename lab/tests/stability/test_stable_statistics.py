@@ -5,14 +5,27 @@ import math
 import pytest
 import torch
 
-from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
-from matcap.space.tuning.start import log_contrast
-from matcap.statistics.compare import Weights, describe, distance
-from matcap.statistics.encoding import Encoding, fit_encoding
-from matcap.statistics.filterbank import FilterBank, FilterBankConfig
-from matcap.statistics.gram import gram
-from matcap.statistics.lattice import find_lattice
-from matcap.statistics.spectrum import autocorrelation, power_spectrum
+from matcap.space.decoder import (
+    CODE_SIZE,
+    Decoder,
+    DecoderConfig,
+)
+from matcap.space.tuning.match import log_contrast
+from matcap.statistics.compare import (
+    Encoding,
+    FilterBank,
+    FilterBankConfig,
+    Weights,
+    describe,
+    distance,
+    fit_encoding,
+    gram,
+)
+from matcap.statistics.lattice import (
+    autocorrelation,
+    find_lattice,
+    power_spectrum,
+)
 
 BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=8, levels=3))
 SIDE = 64

@@ -17,12 +17,20 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.space.decoder import DecoderConfig
-from matcap.space.encoder import NUMBERS, PICTURE_CHANNELS, TEXTURE, Encoder, EncoderConfig
-from matcap.space.prior.base import base_of, fold
-from matcap.space.prior.encoder_input import FEATURES
-from matcap.space.prior.store import load_prior
-from matcap.statistics.encoding import Encoding
-from matcap.statistics.filterbank import FilterBank
+from matcap.space.encoder import (
+    FEATURES,
+    NUMBERS,
+    PICTURE_CHANNELS,
+    TEXTURE,
+    Encoder,
+    EncoderConfig,
+)
+from matcap.space.prior.store import (
+    base_of,
+    fold,
+    load_prior,
+)
+from matcap.statistics.compare import Encoding, FilterBank
 from matcap.statistics.lattice import Wave
 from matcap_lab.cli.main import main
 from matcap_lab.train import corpus as pictures
@@ -258,7 +266,7 @@ def test_the_page_tells_what_was_measured(prior, pack, tmp_path, monkeypatch):
 
 
 def test_pictures_are_brought_to_the_same_radiance(prior, pack):
-    from matcap.files.srgb import srgb_decode_tensor
+    from matcap.files.color import srgb_decode_tensor
 
     shown = [pictures.middle(pack.entries[0]), pictures.lit(prior.draw(0))]
     means = [float(srgb_decode_tensor(picture).mean()) for picture in shown]

@@ -19,15 +19,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.cook_torrance import (
+    ALBEDO_LIMITS,
+    F0_LIMITS,
+    ROUGHNESS_LIMITS,
+    Reflectance,
+)
 from matcap.brdf.maps import MapSet
-from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
-from matcap.capture.exemplar.filters import smoothed, split
-from matcap.capture.exemplar.network.inputs import SUBSAMPLING
+from matcap.capture.exemplar.network.network import SUBSAMPLING
 from matcap.capture.exemplar.observation import AROUND, PlaneLight
+from matcap.capture.exemplar.relief_spectrum import (
+    smoothed,
+    split,
+)
 from matcap.example.exemplar import Exemplar
-from matcap.flash.light import DARKEST
-from matcap.flash.plane import Plane
-from matcap.flash.render import Uniform
+from matcap.flash.light import DARKEST, Uniform
+from matcap.flash.rectify import Plane
 
 # Detail transfer; docs/notes/capture.md.
 _MOST_DETAIL = 1.0  # log radiance; residuals are clipped to +-this

@@ -4,7 +4,7 @@ In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. Th
 maps (predict.py); relief is scaled to the energies that the photograph measures
 (relief_spectrum.py), and texels are classified (material_classes.py); mean parameters and albedo
 are refined until the maps re-render to the photograph (refine.py); hidden maps are inpainted
-(inpaint.py), fine detail and the exposure are added (detail_transfer.py, exposure_prior.py); the
+(inpaint.py), fine detail and the exposure are added (detail_transfer.py, mean_parameters.py); the
 result is indexed for synthesis.
 """
 
@@ -16,24 +16,33 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.brdf.maps import (
+    CHANNELS,
+    MapSet,
+)
 from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
-from matcap.capture.exemplar.exposure_prior import most_probable_scale, scaled
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.material_classes import find_mixture
+from matcap.capture.exemplar.mean_parameters import (
+    most_probable_scale,
+    scaled,
+)
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
 from matcap.capture.exemplar.refine import radiance_residual, refine_maps
-from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, equalise
-from matcap.capture.progress import CaptureClock
+from matcap.capture.exemplar.relief_spectrum import (
+    ReliefSpectrum,
+    equalise,
+)
 from matcap.capture.rectified import Rectified
+from matcap.capture.settings import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.plane import Plane
+from matcap.flash.rectify import Plane
 from matcap.statistics.lattice import Wave
 
 if TYPE_CHECKING:
@@ -61,7 +70,7 @@ class ExemplarEstimate:
     several: SetReport | None = None
     """Report on several photographs; None for one."""
     scale: float = 1.0
-    """Factor on albedo and F0 by exposure_prior.py; the flash is divided by it."""
+    """Factor on albedo and F0 by mean_parameters.py; the flash is divided by it."""
     turned: bool = False
     """Whether the maps are rotated to a portrait photograph's orientation."""
 

@@ -18,14 +18,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
-from matcap.brdf.parameters import Reflectance
+from matcap.brdf.cook_torrance import Reflectance
+from matcap.brdf.maps import (
+    DIFFUSE,
+    HEIGHT,
+    ROUGHNESS,
+    SPECULAR,
+    MapSet,
+)
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
-from matcap.field.single import one_thread
+from matcap.field.source import one_thread
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
-from matcap.photo.shrink import area_averaged
+from matcap.photo.left_out import area_averaged
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place

@@ -1,14 +1,4 @@
-"""Material classes: dielectric, metal, or a mixture of both, each with mean parameters.
-
-F0 is constant in a class, and roughness follows height: under one flash, those of a texel cannot be
-separated from its albedo and slope, and a network predicts noise with rings around the mirror
-point. Texels of a class differ in albedo (of metal: F0) and relief.
-
-The coarse fit decides whether all is metal. Metal and a dielectric in one sample (rust, chipped
-paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
-prediction: mean parameters to the radial profile around the mirror point (mean_parameters.py), and
-each texel's class shares to its radiance under either.
-"""
+"""Material classes (dielectric, metal, or a mixture), and the specular tint of metal."""
 
 from __future__ import annotations
 
@@ -18,21 +8,139 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.parameters import ALBEDO, F0, REFLECTANCE, SurfaceParameters
-from matcap.capture.exemplar.exposure_prior import DIELECTRIC, LEAST_PART, METAL, how_metallic
-from matcap.capture.exemplar.filters import WIDE, smoothed
+from matcap.brdf.cook_torrance import (
+    ALBEDO,
+    ALBEDO_LIMITS,
+    F0,
+    F0_LIMITS,
+    REFLECTANCE,
+    SurfaceParameters,
+)
+from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.mean_parameters import (
+    DIELECTRIC,
+    LEAST_PART,
+    METAL,
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
     RingTarget,
     fit_mean_parameters,
+    how_metallic,
 )
-from matcap.capture.exemplar.tint import whole_colour
-from matcap.flash.coarse.hypotheses import Gaussian
+from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
+from matcap.flash.coarse.problem import Gaussian
 from matcap.flash.light import DARKEST
+
+# Specular tint of metal: F0 over the mean of its channels.
+#
+# Dielectrics have an achromatic F0. Metals have no diffuse albedo, so under a white flash their
+# radiance has the colour of F0: with the share m of metal in a texel and the colour of radiance,
+# normalised to a channel mean of 1, the specular tint of the texel is 1 + m (colour - 1).
+#
+# For several photographs it is divided out before the solution, and multiplied back after it. With
+# F0 = tint f, f the mean of F0 over channels, and irradiance E, radiance by channel is
+#
+# L = E (diffuse / pi + tint f lobe) = tint E (diffuse / tint / pi + f lobe).
+#
+# So log L - log tint is solved for the albedo diffuse / tint and an achromatic F0 = f, by the same
+# solver as for dielectrics. Schlick's achromatic rise to 1 at grazing angles is neglected.
+
+
+_LEAST_SHARE = 0.005  # least share of metal in an exemplar
+_COLOUR_SIDE = 5  # texels, side of the neighbourhood whose colour is averaged, against noise
+# Radiance (1 at clipping) at which the local colour weighs as much as the mean: darker texels
+# mirror little, and show dirt and noise.
+_DARK = 0.05
+
+
+def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
+    """(..., 3, H, W) local mean colour of radiance, normalised to a channel mean of 1.
+
+    Args:
+        linear: (..., 3, H, W) radiance.
+        weight: (..., 1, H, W) weight of a texel, 0 if clipped. Without weight nearby, the result is
+            the mean colour of the whole; without any, grey.
+    """
+    counted = linear.clamp_min(0.0) * weight.to(linear)
+    around = _mean(counted) + _DARK * whole_colour(linear, weight)
+    return around / around.mean(-3, keepdim=True)
+
+
+def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
+    """(..., 3, 1, 1) mean colour, weighted by brightness; arguments as of seen_colour."""
+    counted = linear.clamp_min(0.0) * weight.to(linear)
+    bright = counted.mean(-3, keepdim=True)
+    whole = (counted * bright).sum((-2, -1), keepdim=True) + 1e-6
+    return whole / whole.mean(-3, keepdim=True)
+
+
+def has_metal(logit: Tensor) -> bool:
+    """Whether the network's logit of metal (1, H, W) predicts more than hardly any."""
+    return float((logit > 0.0).float().mean()) > _LEAST_SHARE
+
+
+def specular_tint(metal: Tensor, colour: Tensor) -> Tensor:
+    """(..., 3, H, W) specular tint, F0 over its channel mean: 1 without metal.
+
+    Args:
+        metal: (..., 1, H, W) share of metal, in [0, 1].
+        colour: (..., 3, H, W) colour of the metal (seen_colour).
+    """
+    return 1.0 + metal * (colour - 1.0)
+
+
+def _mean(picture: Tensor) -> Tensor:
+    """Local mean with equal weights, so that channels are averaged over the same texels."""
+    flat = picture.reshape(-1, *picture.shape[-3:])
+    pad = _COLOUR_SIDE // 2
+    blurred = F.avg_pool2d(flat, _COLOUR_SIDE, stride=1, padding=pad)
+    return torch.as_tensor(blurred.reshape(picture.shape))
+
+
+def achromatic(maps: MapSet) -> tuple[MapSet, Tensor]:
+    """Maps with diffuse / tint and mean F0 (1, H, W), and the tint; 1 (1, H, W) of achromatic F0.
+
+    tint = F0 / mean of F0 over channels.
+    """
+    f0 = maps.specular.clamp_min(F0_LIMITS[0])
+    mean = maps.specular.mean(-3, keepdim=True).clamp_min(F0_LIMITS[0])
+    tint = f0 / mean
+    tint = tint / tint.mean(-3, keepdim=True)
+    return replace(maps, diffuse=(maps.diffuse / tint).clamp(*ALBEDO_LIMITS), specular=mean), tint
+
+
+def coloured(maps: MapSet, tint: Tensor) -> MapSet:
+    """The inverse of achromatic: diffuse and F0 times a tint (1 or 3, h, w) on any grid."""
+    tint = on_grid(tint, maps.size)
+    return replace(
+        maps,
+        diffuse=(maps.diffuse * tint).clamp(*ALBEDO_LIMITS),
+        specular=(maps.specular * tint).clamp(*F0_LIMITS),
+    )
+
+
+def on_grid(tint: Tensor, size: tuple[int, int]) -> Tensor:
+    """(1 or 3, height, width) tint resampled bilinearly to `size` = (width, height)."""
+    if tint.shape[-2:] == size[::-1]:
+        return tint
+    return F.interpolate(tint[None], size=size[::-1], mode="bilinear", align_corners=False)[0]
+
+
+# Material classes: dielectric, metal, or a mixture of both, each with mean parameters.
+#
+# F0 is constant in a class, and roughness follows height: under one flash, those of a texel cannot
+# be separated from its albedo and slope, and a network predicts noise with rings around the mirror
+# point. Texels of a class differ in albedo (of metal: F0) and relief.
+#
+# The coarse fit decides whether all is metal. Metal and a dielectric in one sample (rust, chipped
+# paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
+# prediction: mean parameters to the radial profile around the mirror point (mean_parameters.py),
+# and each texel's class shares to its radiance under either.
+
 
 # Classification; docs/notes/gloss.md.
 # Slope of logit roughness on height, true over predicted (docs/notes/gloss.md).

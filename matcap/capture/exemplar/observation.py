@@ -2,7 +2,7 @@
 
 PhotographLight renders maps in that light, and gives the derivative of log radiance by slope. All
 stages from here on compare such renderings with the photograph. Maps are `residuals`: residuals of
-log parameters (brdf/parameters.py) from the uniform material of the coarse fit.
+log parameters (brdf/cook_torrance.py) from the uniform material of the coarse fit.
 """
 
 from __future__ import annotations
@@ -16,26 +16,40 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
-from matcap.brdf.normals import normals_from_slopes
-from matcap.brdf.parameters import F0_LIMITS, Reflectance, SurfaceParameters
-from matcap.capture.exemplar.filters import filled, smoothed
+from matcap.brdf.cook_torrance import (
+    F0_LIMITS,
+    Reflectance,
+    SurfaceParameters,
+)
+from matcap.brdf.maps import MapSet, normals_from_slopes
+from matcap.capture.exemplar.material_classes import (
+    seen_colour,
+    specular_tint,
+)
 from matcap.capture.exemplar.mean_parameters import RingTarget
-from matcap.capture.exemplar.network.inputs import network_inputs
-from matcap.capture.exemplar.network.network import NetworkInputs
+from matcap.capture.exemplar.network.network import NetworkInputs, network_inputs
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
     ReliefSpectrum,
+    filled,
     measure_relief_spectrum,
+    smoothed,
 )
-from matcap.capture.exemplar.tint import seen_colour, specular_tint
-from matcap.files.srgb import srgb_slope
+from matcap.files.color import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.geometry import flash_mirror_point, plane_points
-from matcap.flash.light import FlashLight, cached_rows, from_vignetting_centre, linearised, strips
-from matcap.flash.plane import Plane
-from matcap.flash.rectify import inside
-from matcap.flash.render import Uniform
+from matcap.flash.geometry import (
+    flash_mirror_point,
+    plane_points,
+)
+from matcap.flash.light import (
+    FlashLight,
+    Uniform,
+    cached_rows,
+    from_vignetting_centre,
+    linearised,
+    strips,
+)
+from matcap.flash.rectify import Plane, inside
 
 AROUND = 8.0  # texels, standard deviation of local averages
 # Log radiance added in quadrature to the noise before channels are weighted by it. Fine detail of a
@@ -57,7 +71,7 @@ class PhotographLight:
     """(..., 1, 1) each: log parameters of the uniform material, which `residuals` are added to."""
     tint: Tensor | float = 1.0
     """(3, H, W) specular tint, F0 over the mean of its channels; 1 without metal
-    (tint.py). Residuals of F0 are those of its mean."""
+    (material_classes.py). Residuals of F0 are those of its mean."""
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:
@@ -257,7 +271,7 @@ def _even(sensitivity: Tensor) -> NDArray[np.float32]:
 def channel_noise(plane: Plane) -> Tensor:
     """(3, H, W) standard deviation of log radiance by sensor noise or quantisation, at most 1.
 
-    Of a RAW, by its sensor model (photo/sensor_noise.py); of a developed photograph by the step of
+    Of a RAW, by its sensor model (photo/raw.py); of a developed photograph by the step of
     its 8-bit codes, which is large in dark channels. Local averages, so that it does not depend on
     a texel's own darkness.
     """

@@ -41,8 +41,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.parameters import SurfaceParameters
-from matcap.capture.exemplar.filters import WIDE, filled, smoothed, split
+from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
@@ -51,7 +50,16 @@ from matcap.capture.exemplar.mean_parameters import (
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction
-from matcap.flash.coarse.hypotheses import CONDUCTOR_F0, DIELECTRIC_F0
+from matcap.capture.exemplar.relief_spectrum import (
+    WIDE,
+    filled,
+    smoothed,
+    split,
+)
+from matcap.flash.coarse.problem import (
+    CONDUCTOR_F0,
+    DIELECTRIC_F0,
+)
 from matcap.flash.light import DARKEST
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.

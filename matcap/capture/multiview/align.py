@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.filters import smoothed
-from matcap.capture.exemplar.tint import achromatic
+from matcap.capture.exemplar.material_classes import achromatic
+from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.surface import integrated
 from matcap.capture.multiview.texels import (
@@ -32,7 +32,10 @@ from matcap.capture.multiview.texels import (
     under_fitted_ambient,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, ViewWarp
-from matcap.capture.registration.adjust import Pair, adjust
+from matcap.capture.registration.adjust import (
+    Pair,
+    adjust,
+)
 from matcap.capture.registration.camera import (
     Doubles,
     PosedCamera,
@@ -41,8 +44,11 @@ from matcap.capture.registration.camera import (
     transformed,
 )
 from matcap.capture.registration.register import RegisteredView
-from matcap.flash.extent import OWN, Extent
-from matcap.flash.geometry import FlashSetup
+from matcap.flash.geometry import (
+    OWN,
+    Extent,
+    FlashSetup,
+)
 
 # Settings of the registration by rendering; larger grids are more accurate and slower.
 

@@ -15,13 +15,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.normals import by_slopes
-from matcap.capture.exemplar.filters import local_mean
+from matcap.brdf.maps import by_slopes
+from matcap.capture.exemplar.relief_spectrum import local_mean
 from matcap.capture.registration.camera import to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.light import Incident
+from matcap.photo.left_out import area_averaged
 from matcap.photo.photo import Photo
-from matcap.photo.shrink import area_averaged
 
 Picture = NDArray[np.float32]
 Views = tuple[RegisteredView, ...]  # at most one without flash, the last

@@ -20,47 +20,60 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
-from matcap.capture.exemplar.exposure_prior import most_probable_scale, scaled
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import Classes
-from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
+from matcap.capture.exemplar.material_classes import (
+    Classes,
+    achromatic,
+    coloured,
+    on_grid,
+)
+from matcap.capture.exemplar.mean_parameters import (
+    most_probable_scale,
+    scaled,
+)
+from matcap.capture.exemplar.network.network import (
+    ExpectedErrors,
+    Inverse,
+)
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
 from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
-from matcap.capture.exemplar.tint import achromatic, coloured, on_grid
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.ambient_light import SLOW, without_ambient
-from matcap.capture.multiview.leave_one_out import leave_one_out
 from matcap.capture.multiview.mosaic import (
     Mosaic,
     extrapolated,
     mosaic_of,
-    seen_by_any,
-)
-from matcap.capture.multiview.pair import on_albedo
-from matcap.capture.multiview.set_report import SetReport
-from matcap.capture.multiview.solve import Solved, solve
-from matcap.capture.multiview.texels import Estimate
-from matcap.capture.multiview.view_predictions import (
     predict_views,
     scatter,
+    seen_by_any,
     spread_over,
     tint_over,
     unpredicted,
     with_others,
 )
+from matcap.capture.multiview.pair import on_albedo
+from matcap.capture.multiview.set_report import SetReport, leave_one_out
+from matcap.capture.multiview.solve import Solved, solve
+from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import ResampledView
-from matcap.capture.progress import CaptureClock
-from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.rectified import (
+    Rectified,
+    network_input,
+)
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
+from matcap.capture.settings import CaptureClock
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.field.single import one_thread
+from matcap.field.source import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
-from matcap.flash.plane import Plane, read_plane
+from matcap.flash.rectify import (
+    Plane,
+    read_plane,
+)
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
@@ -308,7 +321,7 @@ def _indexed(
     waves: tuple[Wave, ...],
     mosaic: Mosaic,
 ) -> tuple[Exemplar, Example, float]:
-    """The exemplar, its index, and the factor on its albedo and F0 (exposure_prior.py)."""
+    """The exemplar, its index, and the factor on its albedo and F0 (mean_parameters.py)."""
     known = photo.flash_intensity is not None
     own = exemplar.cut(*mosaic.margins.inside(mosaic.size))
     scale = 1.0 if known else most_probable_scale(own, metal)

@@ -23,13 +23,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.cook_torrance import ALBEDO
 from matcap.brdf.maps import MapSet
-from matcap.brdf.parameters import ALBEDO
-from matcap.capture.exemplar.filters import BANDS, local_mean, smoothed, split
 from matcap.capture.exemplar.relief_spectrum import (
+    BANDS,
     RESPONSE_AROUND,
     equalise,
+    local_mean,
     measure_relief_spectrum,
+    smoothed,
+    split,
 )
 from matcap.capture.multiview.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
 from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
@@ -44,7 +47,7 @@ from matcap.capture.registration.camera import (
 )
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.geometry import FlashSetup
-from matcap.photo.shrink import area_averaged
+from matcap.photo.left_out import area_averaged
 
 Floats = NDArray[np.float32]
 

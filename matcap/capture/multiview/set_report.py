@@ -1,16 +1,28 @@
-"""Report on several photographs of one sample: cameras, residuals, measured shares."""
+"""Report on several photographs: cameras, residuals, leave-one-out errors, and their diagram."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
+
 from matcap.brdf.maps import CHANNELS
+from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.mosaic import Mosaic
+from matcap.capture.multiview.solve import Solved, solve
+from matcap.capture.multiview.texels import Estimate, log_rendered, parameters_of, points_of
+from matcap.capture.multiview.views import ResampledView, light_at
 from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.photo.checks import CHECKS
+
+# Report on several photographs of one sample: cameras, residuals, measured shares.
 
 
 @dataclass(frozen=True)
@@ -22,7 +34,7 @@ class SetReport:
     residuals: tuple[float, ...]
     """Median |log radiance of photograph - re-rendering| of each."""
     predicted: tuple[float, ...]
-    """Residuals of maps from all other photographs (leave_one_out.py); NaN without flash; empty if
+    """Residuals of maps from all other photographs (set_report.py); NaN without flash; empty if
     not computed."""
     left_out: tuple[LeftOut, ...]
     """Photographs that could not be registered, with reasons."""
@@ -74,3 +86,274 @@ class SetReport:
             "lens_distortion": list(self.views[0].camera.lens.distortion),
             **({"mosaic": self.mosaic.document()} if self.mosaic.margins.any else {}),
         }
+
+
+# Leave-one-out error of a set: each photograph predicted from all the others.
+#
+# This needs no ground truth, as maps of the others are not fitted to the photograph left out.
+
+
+# Settings of the leave-one-out solves; docs/notes/several.md.
+_ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
+# Steps per texel in each round (solve.ROUNDS): of the solution by all photographs, which starts
+# from the prediction, and of those without one photograph, which start from that solution.
+_ROUNDS, _WITHOUT = (2, 1), (1,)
+# Texels to which shared parameters are fitted; few, as the initial light is nearly exact.
+_SAMPLED = 1500
+
+
+@torch.no_grad()
+def leave_one_out(
+    alignment: Aligned,
+    prediction: Estimate,
+    solved: Solved,
+    tint: Tensor,
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Predict every flash photograph from all others.
+
+    The solution without a photograph starts from the registration of all, and from the network's
+    prediction of the first photograph, even if that is the one left out. The photograph's gain is
+    fitted to it.
+
+    Args:
+        alignment: registration of the photographs.
+        prediction: the network's.
+        solved: solution by all, whose light is the initial value.
+        tint: (1 or 3, H, W) specular tint (material_classes.py).
+
+    Returns:
+        Two medians of |log radiance of photograph - rendering| for each photograph, on one coarse
+        grid: of maps estimated from all others, NaN without flash; and of maps estimated from all.
+        With fewer than two flash photographs, nothing, and the residuals of `solved`.
+    """
+    width, height = prediction.maps.size
+    across = min(alignment.extent.across(_ACROSS), width)
+    down = round(height * across / width)
+    small = prediction.resized((down, across), alignment.extent)
+    views = alignment.on_grid(across, down, tint)
+    lit = [number for number, view in enumerate(views) if view.flash]
+    if len(lit) < 2:
+        return (), solved.residual
+    light = solved.light.of_some(range(len(views)))
+    by_all = solve(views, small, light, rounds=_ROUNDS, sampled=_SAMPLED)
+    predicted, residuals = [math.nan] * len(views), list(solved.residual)
+    for left_out in lit:
+        kept = [number for number in range(len(views)) if number != left_out]
+        some, light = [views[number] for number in kept], by_all.light.of_some(kept)
+        by_others = solve(some, small, light, by_all, rounds=_WITHOUT, sampled=_SAMPLED)
+        predicted[left_out] = left_out_residual(views[left_out], by_others)
+        residual = left_out_residual(views[left_out], by_all)
+        residuals[left_out] = residuals[left_out] if math.isnan(residual) else residual
+    return tuple(predicted), tuple(residuals)
+
+
+def left_out_residual(view: ResampledView, solved: Solved) -> float:
+    """Median absolute residual of log radiance of a photograph not used for the maps.
+
+    Each channel's gain is fitted to it first. NaN without valid texels.
+    """
+    points = points_of(view.log.shape[-2:], extent=view.extent)
+    light = light_at(0, view, replace(solved.light, gain=torch.zeros(1, 3)), points)
+    (rendered,) = log_rendered(parameters_of(solved.maps), [light])
+    residual = view.log - rendered
+    for channel in range(3):
+        valid = residual[channel][view.seen[channel]]
+        if valid.numel():
+            residual[channel] -= valid.median()
+    valid = residual[view.seen]
+    return float(valid.abs().median()) if valid.numel() else math.nan
+
+
+# Diagram of cameras and lights over the sample, with each photograph's residuals.
+
+
+Doubles = NDArray[np.float64]
+CodeTriple = tuple[int, int, int]
+
+# sRGB code values.
+_INK, _FAINT, _PAPER = (225, 225, 225), (110, 110, 110), (24, 24, 24)
+_FLASH, _LEFT_OUT = (255, 214, 90), (255, 110, 100)
+_CAMERAS: tuple[CodeTriple, ...] = (
+    (120, 200, 255), (140, 230, 150), (255, 170, 110), (225, 150, 255), (255, 235, 130),
+    (130, 225, 225), (255, 150, 170), (190, 190, 255),
+)  # fmt: skip
+_ROUND, _SPARK = 11, 4  # radii of the symbols of a camera and a flash, pixels
+_MARGIN = 0.12  # around the diagram, as a share of its size
+_LINE = 24  # height of a line of text, pixels
+
+
+@dataclass(frozen=True)
+class _View:
+    """A camera of the diagram, in plane units."""
+
+    number: int
+    """Number of its photograph, from 1."""
+    place: Doubles
+    """(3,) position of the camera."""
+    flash: Doubles | None
+    """(3,) position of its flash, or None."""
+    seen: Doubles
+    """(3, 4) corners of its picture on the plane."""
+
+    @property
+    def colour(self) -> CodeTriple:
+        return _colour(self.number)
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Map from a rectangle in plane units, y upwards, to a drawing of width x height pixels."""
+
+    low: Doubles
+    high: Doubles
+    width: int
+    height: int
+
+    @staticmethod
+    def around(points: Doubles, width: int, height: int) -> _Frame:
+        """The map that shows all points (2, n), with a margin."""
+        low, high = points.min(axis=1), points.max(axis=1)
+        margin = _MARGIN * float((high - low).max())
+        return _Frame(low - margin, high + margin, width, height)
+
+    def at(self, point: Doubles) -> tuple[float, float]:
+        """Pixel of a point (2,)."""
+        across, up = self.high - self.low
+        scale = min(self.width / across, self.height / up)
+        x, y = scale * (point - 0.5 * (self.low + self.high))
+        return 0.5 * self.width + float(x), 0.5 * self.height - float(y)
+
+
+def draw_set(report: SetReport, exemplar: NDArray[np.float32], width: int) -> Image.Image:
+    """Draw cameras and lights of a set, from above and from the side.
+
+    Args:
+        report: cameras and residuals.
+        exemplar: (H, W, 3) the exemplar from above, sRGB code values in [0, 1].
+        width: of the picture, pixels.
+    """
+    extent = report.mosaic.extent
+    half = extent.half * np.array([[1.0], [exemplar.shape[0] / exemplar.shape[1]]])
+    # x and y of the exemplar's bottom left and top right corner, plane units.
+    rim = np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
+    views, part, tall = list(_views(report)), width // 3, width // 4
+    parts = (
+        _from_above(views, exemplar, rim, part, tall),
+        _from_the_side(views, rim, part, tall),
+        _text(report, width - 2 * part, tall),
+    )
+    return Image.fromarray(np.hstack([np.asarray(picture) for picture in parts]))
+
+
+def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
+    """Lines of the report on several photographs, each with the number of its photograph.
+
+    The number is None for lines on all photographs, and 0 for a photograph that was left out.
+    """
+    for number, (view, residual, prediction) in enumerate(report.by_view(), 1):
+        line = f"{number} {view.photo.name}: re-rendered within {100.0 * residual:.1f} %"
+        if not view.flash:
+            line += ", without flash"
+        elif not math.isnan(prediction):
+            line += f", predicted by the others within {100.0 * prediction:.1f} %"
+        yield line, number
+    for one in report.left_out:
+        yield f"left out: {one.name}, {one.why}", 0
+    measured = zip(CHANNELS, report.measured, strict=True)
+    shares = [f"{name} {100.0 * share:.0f} %" for name, share in measured]
+    yield "measured, not predicted: " + ", ".join(shares), None
+    if report.mosaic.margins.any:
+        yield report.mosaic.summary(), None
+
+
+def _colour(number: int) -> CodeTriple:
+    """Colour of the photograph of a number, from 1."""
+    return _CAMERAS[(number - 1) % len(_CAMERAS)]
+
+
+def _views(report: SetReport) -> Iterator[_View]:
+    across, down = report.mosaic.size
+    high = down / across  # of the first photograph, over its width
+    corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
+    for number, view in enumerate(report.views, 1):
+        camera = view.camera
+        light = camera.flash(report.flash_offset) if view.flash else None
+        yield _View(number, camera.place, light, camera.on_plane(corners))
+
+
+def _from_above(
+    views: list[_View], exemplar: NDArray[np.float32], rim: Doubles, width: int, height: int
+) -> Image.Image:
+    points = [rim]
+    for view in views:
+        places = [view.place] if view.flash is None else [view.place, view.flash]
+        points += [view.seen[:2], *(place[:2, None] for place in places)]
+    frame = _Frame.around(np.concatenate(points, axis=1), width, height)
+    sheet, ink = _blank(width, height, "from above")
+    (left, bottom), (right, top) = frame.at(rim[:, 0]), frame.at(rim[:, 1])
+    size = max(1, round(right - left)), max(1, round(bottom - top))
+    codes = np.rint(np.clip(exemplar, 0.0, 1.0) * 255.0).astype(np.uint8)
+    sheet.paste(Image.fromarray(codes).resize(size), (round(left), round(top)))
+    for view in views:
+        outline = [frame.at(corner) for corner in view.seen[:2].T]
+        ink.line([*outline, outline[0]], fill=view.colour, width=2)
+    for view in views:
+        _camera(ink, view, frame, (0, 1))
+    return sheet
+
+
+def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) -> Image.Image:
+    sheet, ink = _blank(width, height, "from the side")
+    ends = np.array([rim[0], [0.0, 0.0]])
+    points = [np.column_stack([view.place, view.seen])[[0, 2]] for view in views]
+    frame = _Frame.around(np.concatenate([ends, *points], axis=1), width, height)
+    ink.line([frame.at(ends[:, 0]), frame.at(ends[:, 1])], fill=_INK, width=3)
+    for view in views:
+        for edge in (view.seen[0].min(), view.seen[0].max()):
+            ink.line([frame.at(view.place[[0, 2]]), frame.at(np.array([edge, 0.0]))], fill=_FAINT)
+    for view in views:
+        _camera(ink, view, frame, (0, 2))
+    return sheet
+
+
+def _text(report: SetReport, width: int, height: int) -> Image.Image:
+    sheet, ink = _blank(width, height, "error of each photograph")
+    font = ImageFont.load_default(size=14)
+    y = 2 * _LINE
+    for text, number in set_report_lines(report):
+        colour = _INK if number is None else _colour(number) if number else _LEFT_OUT
+        for line in _wrapped(text, font, width - 2 * _ROUND):
+            ink.text((_ROUND, y), line, fill=colour, font=font)
+            y += _LINE - 4
+    return sheet
+
+
+def _wrapped(
+    text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
+) -> list[str]:
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _camera(ink: ImageDraw.ImageDraw, view: _View, frame: _Frame, axes: tuple[int, int]) -> None:
+    x, y = frame.at(view.place[list(axes)])
+    ink.ellipse([x - _ROUND, y - _ROUND, x + _ROUND, y + _ROUND], fill=view.colour)
+    font = ImageFont.load_default(size=14)
+    ink.text((x, y), str(view.number), fill=_PAPER, font=font, anchor="mm")
+    if view.flash is None:
+        return
+    x, y = frame.at(view.flash[list(axes)])
+    ink.ellipse([x - _SPARK, y - _SPARK, x + _SPARK, y + _SPARK], fill=_FLASH, outline=_PAPER)
+
+
+def _blank(width: int, height: int, label: str) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+    sheet = Image.new("RGB", (width, height), _PAPER)
+    ink = ImageDraw.Draw(sheet)
+    ink.text((_ROUND, 5), label, fill=_INK, font=ImageFont.load_default(size=16))
+    return sheet, ink

@@ -30,7 +30,7 @@ from matcap.capture.multiview.texels import (
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.camera import Doubles
-from matcap.flash.extent import OWN
+from matcap.flash.geometry import OWN
 from matcap.flash.light import DifferentiableLight
 
 # Fourth-order derivative, twelvefold: weights of texels this far away.

@@ -18,14 +18,23 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from matcap.brdf.cook_torrance import (
+    ALBEDO,
+    F0,
+    ROUGH,
+)
 from matcap.brdf.maps import MapSet
-from matcap.brdf.parameters import ALBEDO, F0, ROUGH
-from matcap.capture.exemplar.filters import smoothed
+from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.multiview.ambient_light import SLOW
-from matcap.capture.multiview.octaves import denoised, prediction_error, with_energies
 from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.shared import SAMPLED, shared_step
-from matcap.capture.multiview.surface import integrated, surface_of
+from matcap.capture.multiview.surface import (
+    denoised,
+    integrated,
+    prediction_error,
+    surface_of,
+    with_energies,
+)
 from matcap.capture.multiview.texels import (
     GLOSS,
     ROWS,
@@ -47,7 +56,7 @@ from matcap.flash.light import strips
 # Per-texel steps in each round; each begins with a fit of the shared parameters.
 ROUNDS: tuple[int, ...] = (2, 2, 1)
 # Prior standard deviation of slopes until the photographs have measured the error of the
-# prediction. It is wide, as each octave's gain is estimated afterwards (octaves.py).
+# prediction. It is wide, as each octave's gain is estimated afterwards (surface.py).
 _SLOPE = 1.0
 # Then that deviation over the measured error, for each photograph: noise of slopes from two
 # photographs is in all octaves. A photograph without flash, which measures albedo, counts as five.
@@ -249,7 +258,7 @@ def _iterates(
 
 
 def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
-    """(1, H, W) height denoised octave by octave (octaves.py), plane units.
+    """(1, H, W) height denoised octave by octave (surface.py), plane units.
 
     Two photographs measure slopes along their baseline only, and across it those of the prior do
     not change when either is left out. The octaves' energies are then those that were measured with
@@ -292,7 +301,7 @@ def _step_at_fixed_slopes(
     prior: ParameterPrior,
     light: SharedLight,
 ) -> Tensor:
-    """Parameters after a step with slopes fixed, albedo denoised (octaves.py)."""
+    """Parameters after a step with slopes fixed, albedo denoised (surface.py)."""
     step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
     for channel in range(3):
         measured, prediction, changes = (

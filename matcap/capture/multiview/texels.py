@@ -12,23 +12,33 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import SINGLE_ROUGHNESS
-from matcap.brdf.maps import MapSet
-from matcap.brdf.normals import normals_from_height, normals_from_slopes
-from matcap.brdf.parameters import (
+from matcap.brdf.cook_torrance import (
     ALBEDO,
     ALBEDO_LIMITS,
     F0,
     F0_LIMITS,
     ROUGHNESS_LIMITS,
+    SINGLE_ROUGHNESS,
     Reflectance,
     SurfaceParameters,
 )
+from matcap.brdf.maps import (
+    MapSet,
+    normals_from_height,
+    normals_from_slopes,
+)
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
-from matcap.flash.extent import OWN, Extent
-from matcap.flash.geometry import plane_points
-from matcap.flash.light import DifferentiableLight, linearised, strips
+from matcap.flash.geometry import (
+    OWN,
+    Extent,
+    plane_points,
+)
+from matcap.flash.light import (
+    DifferentiableLight,
+    linearised,
+    strips,
+)
 
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
 GLOSS, SLOPES = slice(3, 5), slice(5, 7)

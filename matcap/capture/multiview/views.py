@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.tint import on_grid
+from matcap.capture.exemplar.material_classes import on_grid
 from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
 from matcap.capture.registration.camera import (
     Doubles,
@@ -21,8 +21,11 @@ from matcap.capture.registration.camera import (
     transformed,
 )
 from matcap.capture.registration.register import RegisteredView
-from matcap.flash.extent import OWN, Extent
-from matcap.flash.geometry import FlashSetup
+from matcap.flash.geometry import (
+    OWN,
+    Extent,
+    FlashSetup,
+)
 from matcap.flash.light import (
     DARKEST,
     DifferentiableLight,
@@ -31,8 +34,14 @@ from matcap.flash.light import (
     log_vignette,
     strips,
 )
-from matcap.flash.rectify import FINER, planes_of
-from matcap.photo.shrink import CLIPPED_SHARE, area_averaged
+from matcap.flash.rectify import (
+    FINER,
+    planes_of,
+)
+from matcap.photo.left_out import (
+    CLIPPED_SHARE,
+    area_averaged,
+)
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
@@ -147,7 +156,7 @@ class ResampledView:
             view: the photograph.
             across, down: texels.
             warp: map to plane points.
-            tint: (1 or 3, h, w) specular tint on any grid, divided out (tint.py).
+            tint: (1 or 3, h, w) specular tint on any grid, divided out (material_classes.py).
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]

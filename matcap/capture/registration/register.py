@@ -9,11 +9,21 @@ from functools import cache, partial
 
 import numpy as np
 
-from matcap.capture.registration.adjust import DISTORTION, Adjusted, Pair, adjust
+from matcap.capture.registration.adjust import (
+    DISTORTION,
+    Adjusted,
+    Pair,
+    adjust,
+    camera_deviations,
+)
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.compare import losses_of_sharpness, texture_correlation
-from matcap.capture.registration.covariance import camera_deviations
-from matcap.capture.registration.keypoints import find_keypoints, is_periodic, match_photographs
+from matcap.capture.registration.keypoints import (
+    find_keypoints,
+    is_periodic,
+    losses_of_sharpness,
+    match_photographs,
+    texture_correlation,
+)
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.inspect import hot_spot
@@ -66,9 +76,9 @@ class RegisteredView:
     """Whether it is lit by flash, not by ambient light alone."""
     position_deviation: float = 0.0
     """Standard deviation of the camera's position relative to the first, over its distance
-    (covariance.py)."""
+    (adjust.py)."""
     misregistration: float = 0.0
-    """Standard deviation of its registration to the first, plane units (covariance.py)."""
+    """Standard deviation of its registration to the first, plane units (adjust.py)."""
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,333 @@
-"""Measurements of causes of a poor capture, in photograph and re-rendering.
-
-A cause is reported if its measurement exceeds its limit in the table (photo/checks.py).
-"""
+"""Measured causes of a poor capture: in photograph, re-rendering, maps, highlight and glints."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
+import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
-from matcap.flash.highlight import Highlight, elongation, light_of
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.estimate import ExemplarEstimate, map_set_of
+from matcap.capture.exemplar.mean_parameters import BOUND
+from matcap.capture.exemplar.refine import LEAST_SHARE, MIRRORED
+from matcap.capture.exemplar.relief_spectrum import filled, slope_spectrum
+from matcap.capture.rectified import Rectified
+from matcap.example.exemplar import Exemplar
+from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
+from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight, elongation, light_of
+from matcap.flash.light import FlashLight, cached_rows, strips
 from matcap.photo.checks import CAUSES, UNIFORM, Cause
+from matcap.photo.inspect import channel_mean
 from matcap.photo.photo import Photo
 
+# Highlight contrast and glint contrast, re-rendered over photographed.
+#
+# Both pictures are clipped at the photograph's clip level, then averaged in rings around the mirror
+# point and divided by M, a uniform matte surface under the same flash. With <> a mean over texels,
+#
+# profile(r) = <L>_r / <M>_r,    contrast = profile(r < NEAR) / profile(r > FAR),
+#
+# and 1 is a matte surface. Glint contrast is the standard deviation of log L in octaves of spatial
+# frequency, where the specular fraction of the photograph is at least MIRRORED.
+
+
 Picture = NDArray[np.float32]
+TexelMask = NDArray[np.bool_]
+
+NEAR, FAR = 0.06, 0.3  # plane units from the mirror point
+_EDGES = (0.0, NEAR, 0.085, 0.12, 0.17, 0.24, FAR, 9.0)  # radii, plane units; two rings per octave
+UNSEEN = 0.01  # standard deviation of log radiance that is invisible
+_OCTAVES = 3  # number, from 1 texel on
+_DARKEST = 1e-4  # radiance below which logarithms are clamped
+
+
+@dataclass(frozen=True)
+class HighlightProfile:
+    """A highlight in photograph and re-rendering, clipped alike; pairs are in this order."""
+
+    rings: tuple[tuple[float, float], ...]
+    """By ring from the innermost: profile(r) over that of the outermost; the first is the
+    contrast."""
+    clipped: tuple[float, ...]
+    """By ring: share that is clipped in the photograph."""
+    glints: tuple[tuple[float, float], ...] = ()
+    """By octave, finest first: standard deviation of log radiance; empty without a highlight."""
+
+    @property
+    def contrast(self) -> tuple[float, float]:
+        """Highlight contrast (module equation) of photograph and re-rendering; 1 is matte."""
+        return self.rings[0]
+
+    @property
+    def glossy(self) -> bool:
+        """Whether either picture has a highlight."""
+        return max(self.contrast) >= FAINTEST_HIGHLIGHT
+
+    @property
+    def bound(self) -> bool:
+        """Whether the photographed contrast is only a lower bound, as its core is clipped."""
+        return self.clipped[0] > BOUND
+
+    @property
+    def ratio(self) -> float:
+        """Highlight contrast, re-rendered over photographed; NaN if neither is glossy.
+
+        If the core is clipped, the innermost unclipped ring of the highlight is compared as well;
+        the ratio farther from 1 is returned.
+        """
+        if not self.glossy:
+            return math.nan
+        measured = (
+            after / before
+            for (before, after), clipped in zip(self.rings, self.clipped, strict=True)
+            if clipped <= BOUND and max(before, after) >= FAINTEST_HIGHLIGHT
+        )
+        core = self.contrast[1] / self.contrast[0]
+        return max((core, next(measured, core)), key=lambda ratio: abs(math.log(ratio)))
+
+    @property
+    def glint_ratio(self) -> float:
+        """Glint contrast of all octaves, re-rendered over photographed; NaN without a highlight.
+
+        UNSEEN, the visibility threshold, is added to both in quadrature.
+        """
+        if not self.glints:
+            return math.nan
+        before, after = (math.hypot(UNSEEN, *each) for each in zip(*self.glints, strict=True))
+        return after / before
+
+    def document(self) -> Mapping[str, Any]:
+        """JSON; radii in plane units."""
+        return {
+            "radii": list(_EDGES[1:-1]),
+            "rings": [list(pair) for pair in self.rings],
+            "clipped": list(self.clipped),
+            "contrast_ratio": self.ratio,
+            "glints": [list(pair) for pair in self.glints],
+            "glint_ratio": self.glint_ratio,
+        }
+
+
+def highlight_profile(
+    pictures: tuple[Picture, Picture],
+    seen: TexelMask,
+    measured: TexelMask,
+    setup: FlashSetup,
+    limit: float = 1.0,
+) -> HighlightProfile | None:
+    """Radial profiles and glints of both pictures; None if the mirror point is outside of them.
+
+    Args:
+        pictures: (H, W, 3) radiance of photograph and re-rendering on the plane's grid, clipped
+            alike.
+        seen: (H, W) bool, inside of the photograph.
+        measured: (H, W) bool, `seen` and not clipped.
+        setup: camera and flash.
+        limit: radiance at which the pictures are clipped.
+    """
+    lights = [channel_mean(picture) for picture in pictures]
+    distance, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
+    rings = [
+        seen & (distance >= inner) & (distance < outer)
+        for inner, outer in zip(_EDGES, _EDGES[1:], strict=False)
+    ]
+    if not all(ring.any() for ring in rings):
+        return None
+    profiles = np.array(
+        [[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings]
+    )
+    profiles = np.maximum(profiles, _DARKEST)  # a ring may be black
+    profiles /= profiles[-1]
+    reach = _reach(profiles[:, 0])
+    region = seen & measured & (lights[1] < limit) & (distance < reach)
+    glints = (
+        [_octaves(each, region) for each in lights] if region.mean() >= LEAST_SHARE else [[], []]
+    )
+    return HighlightProfile(
+        tuple((float(before), float(after)) for before, after in profiles),
+        tuple(float((~measured[ring]).mean()) for ring in rings),
+        tuple(zip(*glints, strict=True)),
+    )
+
+
+def _reach(profile: NDArray[np.float64]) -> float:
+    """Radius within which the specular fraction is at least MIRRORED; 0 for none."""
+    mirrored = 1.0 - 1.0 / np.maximum(profile[:-1], 1e-9) >= MIRRORED
+    return _EDGES[len(mirrored) if mirrored.all() else int(mirrored.argmin())]
+
+
+def _octaves(picture: Picture, region: TexelMask) -> list[float]:
+    """Standard deviation of log radiance over a region, by octave, finest first."""
+    log = filled(np.log(np.maximum(picture, _DARKEST)).astype(np.float32), region)
+    blurs = [cv2.GaussianBlur(log, (0, 0), 2.0**octave) for octave in range(_OCTAVES + 1)]
+    return [float((a - b)[region].std()) for a, b in zip(blurs, blurs[1:], strict=False)]
+
+
+def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """(H, W) distance from the mirror point, plane units; upright if the setup is turned."""
+    if setup.turned:
+        landscape = from_mirror_point(replace(setup, turned=False), shape[::-1])
+        return np.rot90(landscape, -1)
+    (x, y), (height, width) = flash_mirror_point(setup), shape
+    u, v = np.arange(width) + 0.5, np.arange(height)[:, None] + 0.5
+    return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)
+
+
+def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
+    """(H, W) radiance of a white matte plane: power (n.l) / pi."""
+    height, width = shape
+    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+
+    def some(rows: slice) -> Tensor:
+        light = FlashLight.of(setup, points[:, rows])
+        return light.power.mean(0) * light.to_light[2] / math.pi
+
+    return torch.cat([some(rows) for rows in strips(height, cached_rows(width))]).numpy()
+
+
+# Measurements on the maps of a capture themselves: highlight residue, steepness, confidence.
+#
+# Highlight residue is the radial variation of the maps about the flash's mirror point. A material's
+# maps do not depend on the light's position: a disc in albedo, a minimum of roughness or relief
+# that fades towards the mirror point is shading baked into the maps, which synthesis repeats as
+# stains.
+#
+# Steepness is the relief of a decoder's field over that of the exemplar which it was fine-tuned by.
+# Under a flash near the lens a dent and a stain look alike, so that statistics of the photograph
+# let a decoder draw stains as relief. Slopes of waves of 8 to 64 texels are compared: finer ones
+# would hide slow relief, and decoders blur the finest.
+
+
+BlockMeans = NDArray[np.float64]
+
+# Settings of the measurements; docs/notes/verdict.md.
+_BLOCKS = 24  # blocks along the long side; smaller structure is texture
+_RINGS = 6  # rings of equally many blocks; more resolve finer, with more sampling variance
+_TOE = 0.004  # added to albedo and F0 before logarithms
+_COARSE = slice(0, 3)  # of filters.BANDS: 8 to 64 texels
+_FLAT = 0.01  # root-mean-square slope of these waves below which a surface is flat to the eye
+
+
+@dataclass(frozen=True)
+class ExemplarMeasurements:
+    """Measurements on an exemplar; the defaults are of a capture without one."""
+
+    error: float = math.nan
+    """Median |log radiance of photograph - re-rendering| (ExemplarEstimate.error)."""
+    confidence: Mapping[str, float] | None = None
+    """Mean confidence by map."""
+    residue: Mapping[str, float] | None = None
+    """Radial variation of the maps about the mirror point (highlight_residue)."""
+    tilt: float = 0.0
+    """Mean angle of the normals to the plane's, degrees."""
+    steepness: float = math.nan
+    """Slopes of a decoder's field over the exemplar's; NaN without a decoder."""
+    variety: float = 1.0
+    """Patch size of the field: 1 for small patches, 0 for the whole exemplar, whose features are as
+    large as the photograph."""
+
+    @staticmethod
+    def of(
+        estimate: ExemplarEstimate,
+        rectified: Rectified,
+        setup: FlashSetup,
+        drawn: MapSet | None,
+    ) -> ExemplarMeasurements:
+        """Measure an exemplar.
+
+        Args:
+            estimate: the exemplar.
+            rectified: its photograph.
+            setup: camera and flash, in the orientation of the exemplar.
+            drawn: maps of a decoder's field, or None.
+        """
+        first = estimate.first_rectangle
+        cosine = map_set_of(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
+        return ExemplarMeasurements(
+            error=estimate.error,
+            confidence=estimate.mean_confidence(rectified.photo.kept_share),
+            residue=highlight_residue(first, setup),
+            tilt=float(cosine.acos().rad2deg().mean()),
+            steepness=math.nan if drawn is None else steepness(drawn, map_set_of(first)),
+            # Of a lattice, whole periods are rearranged, however small they are.
+            variety=1.0 if rectified.waves else estimate.example.variety,
+        )
+
+
+def highlight_residue(exemplar: Exemplar, setup: FlashSetup) -> dict[str, float]:
+    """Standard deviation of ring means about the mirror point, sampling variance subtracted.
+
+    Returns:
+        `albedo` and `specular` (natural log), `roughness`, and `grain` (log of the local
+        root-mean-square slope).
+    """
+    distance = from_mirror_point(setup, exemplar.size[::-1])
+    step = exemplar.texel_size
+    slopes = np.gradient(exemplar.height[0].astype(np.float64) / step)
+    steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
+    planes = {
+        "albedo": _blocks(np.log(exemplar.diffuse.mean(0, dtype=np.float64) + _TOE)),
+        "specular": _blocks(np.log(exemplar.specular.mean(0, dtype=np.float64) + _TOE)),
+        "roughness": _blocks(exemplar.roughness[0].astype(np.float64)),
+        # A flat exemplar has slopes of a thousandth, from rounding.
+        "grain": 0.5 * np.log(steep + 1e-4),
+    }
+    distances = _blocks(distance)
+    return {name: in_rings(plane, distances) for name, plane in planes.items()}
+
+
+def in_rings(values: BlockMeans, distances: BlockMeans) -> float:
+    """Standard deviation of `values` between rings of equal counts, without sampling variance.
+
+    Root of the between-group variance component of a one-way analysis of variance, at least 0.
+
+    Args:
+        values: block means, any shape.
+        distances: of the blocks from the mirror point, same shape.
+    """
+    order = np.argsort(distances, axis=None, kind="stable")
+    rings = np.array_split(values.ravel()[order], _RINGS)
+    count = values.size / _RINGS
+    between = count * np.var([ring.mean() for ring in rings], ddof=1)
+    within = sum(np.square(ring - ring.mean()).sum() for ring in rings)
+    within /= max(values.size - _RINGS, 1)
+    return float(np.sqrt(max(between - within, 0.0) / count))
+
+
+def _blocks(plane: BlockMeans) -> BlockMeans:
+    """Means of square blocks; the last ones include the remaining rows and columns."""
+    side = max(1, max(plane.shape) // _BLOCKS)
+    rows, columns = (np.arange(0, max(n - side, 0) + 1, side) for n in plane.shape)
+    counts = [np.diff([*starts, n]) for starts, n in zip((rows, columns), plane.shape, strict=True)]
+    sums = np.add.reduceat(np.add.reduceat(plane, rows, 0), columns, 1)
+    return np.asarray(sums / np.multiply.outer(*counts), np.float64)
+
+
+def steepness(drawn: MapSet, exemplar: MapSet) -> float:
+    """Root-mean-square slope of maps over that of an exemplar.
+
+    NaN if both are flat or too small.
+    """
+    energies = [
+        float(np.square(slope_spectrum((maps.height[0] / maps.texel_size).numpy())[_COARSE]).sum())
+        for maps in (drawn, exemplar)
+    ]
+    ours, theirs = (energy + _FLAT**2 for energy in energies)
+    return math.sqrt(ours / theirs) if any(energies) else math.nan
+
+
+# Measurements of causes of a poor capture, in photograph and re-rendering.
+#
+# A cause is reported if its measurement exceeds its limit in the table (photo/checks.py).
+
+
 SmoothLight = NDArray[np.float64]
 
 # Settings of the measurements; docs/notes/verdict.md.

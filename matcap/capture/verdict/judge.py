@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from matcap.capture.verdict.causes import causes
-from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
-from matcap.capture.verdict.highlight import UNSEEN
+from matcap.capture.verdict.causes import UNSEEN, ExemplarMeasurements, causes
 from matcap.capture.verdict.measurements import Measurements
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, RESIDUES, Cause, Finding, Rating

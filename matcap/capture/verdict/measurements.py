@@ -1,6 +1,5 @@
-"""Measured differences between a photograph and its re-rendering: light, highlight, texture.
-
-Read next: judge.py, which rates them.
+"""Measured differences between a photograph and its re-rendering: light, highlight, texture,
+connectivity.
 """
 
 from __future__ import annotations
@@ -16,24 +15,89 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.exemplar.observation import code_step
-from matcap.capture.method import FEATURES, WINDOW
-from matcap.capture.verdict.causes import by_place, measure_causes
-from matcap.capture.verdict.connectivity import connectivity
-from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
-from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
+from matcap.capture.settings import FEATURES, WINDOW
+from matcap.capture.verdict.causes import (
+    ExemplarMeasurements,
+    HighlightProfile,
+    by_place,
+    highlight_profile,
+    measure_causes,
+)
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
-from matcap.flash.plane import Plane, plane_of
-from matcap.flash.rectify import planes_of
+from matcap.flash.rectify import Plane, plane_of, planes_of
 from matcap.photo.inspect import Inspection, band_passed, channel_mean, inspect_photo
+from matcap.photo.left_out import area_averaged, cell_means
 from matcap.photo.photo import FULL, Photo
-from matcap.photo.shrink import cell_means
-from matcap.statistics.compare import Descriptor, Weights, describe, distance
-from matcap.statistics.filterbank import FilterBank
+from matcap.statistics.compare import Descriptor, FilterBank, Weights, describe, distance
 from matcap.statistics.lattice import Wave, periodicity
+
+# Connectivity: whether the dark or the bright lines of a pattern form connected nets.
+#
+# Leather is bright cells in a dark net; broken into spots, the net has the same contrast, spectrum
+# and neighbouring texels. In windows of a band of log luminance, a phase is the SHARE of texels
+# that are the darkest or the brightest, n_i the sizes of its clusters (4-connected), and
+#
+# S = sum n_i^2 / sum n_i,    connectivity = log(S_dark / S_bright),
+#
+# S the mean cluster size of percolation theory [stauffer1994, sec. 2.3]. It is positive for a dark
+# net, negative for a bright one, 0 where both phases look alike.
+
 
 Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
+
+SHARE = 0.4  # just below where the phases of a Gaussian field span it, so that S varies most
+_WIDTH = 1024  # texels across at which patterns are compared
+_BANDS = ((2.0, 8.0), (4.0, 16.0))  # standard deviations of two Gaussian blurs, texels
+_WINDOW, _STEP = 192, 160  # texels
+_LEAST_VALID = 0.9  # valid share of a window
+
+
+def connectivity(pictures: tuple[Picture, Picture], valid: TexelMask) -> tuple[float, float] | None:
+    """Connectivity of log luminance (H, W) of a photograph and its re-rendering.
+
+    Medians over windows, in the band that differs most; None if the picture is too small.
+    """
+    rows, columns = valid.shape
+    shrink = max(1.0, columns / _WIDTH)
+    size = (round(columns / shrink), round(rows / shrink))
+    before, after, seen = (
+        area_averaged(one, size) for one in (*pictures, valid.astype(np.float32))
+    )
+    places = [
+        (slice(y, y + _WINDOW), slice(x, x + _WINDOW))
+        for y in range(0, size[1] - _WINDOW + 1, _STEP)
+        for x in range(0, size[0] - _WINDOW + 1, _STEP)
+    ]
+    places = [place for place in places if seen[place].mean() > _LEAST_VALID]
+    if not places:
+        return None
+    medians = []
+    for deviations in _BANDS:
+        bands = [band_passed(one, *deviations) for one in (before, after)]
+        each = np.array([[_of_window(band[place]) for band in bands] for place in places])
+        middle = float(np.median(each[:, 0]))
+        # Both of a pair have the same light, so their difference has the smaller scatter.
+        medians.append((middle, middle + float(np.median(each[:, 1] - each[:, 0]))))
+    return max(medians, key=lambda pair: abs(pair[1] - pair[0]))
+
+
+def _of_window(band: Picture) -> float:
+    """log(S_dark / S_bright) of a window."""
+    dark, bright = (_mean_cluster_size(side <= np.quantile(side, SHARE)) for side in (band, -band))
+    return float(np.log(dark / bright))
+
+
+def _mean_cluster_size(phase: TexelMask) -> float:
+    _, _, stats, _ = cv2.connectedComponentsWithStats(phase.astype(np.uint8), connectivity=4)
+    sizes = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
+    return float(np.square(sizes).sum() / sizes.sum())
+
+
+# Measured differences between a photograph and its re-rendering: light, highlight, texture.
+#
+# Read next: judge.py, which rates them.
 
 
 # Filters and windows of the comparison; docs/notes/verdict.md.
@@ -76,7 +140,7 @@ class Measurements:
     offset: float
     """Distance of the flash from the lens, plane units."""
     connectivity: tuple[float, float] | None = None
-    """log(mean cluster size of dark texels over bright ones) (connectivity.py); None if the picture
+    """log(mean cluster size of dark texels over bright ones) (measurements.py); None if the picture
     is too small."""
     exemplar: ExemplarMeasurements = ExemplarMeasurements()
     """Measurements on the exemplar itself."""

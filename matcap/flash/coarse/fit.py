@@ -2,15 +2,15 @@
 
 Its accuracy is measured in docs/notes/capture.md.
 
-A flat, uniform material under a flash (model.py) is fitted to the photograph's means over cells
+A flat, uniform material under a flash (cells.py) is fitted to the photograph's means over cells
 (cells.py) by robust least squares on log radiance (problem.py). Unknown are albedo or F0,
 roughness, flash intensity and offset, tilt, and the falloff of lens and flash.
 
-Two hypotheses are fitted, a dielectric and a conductor (hypotheses.py). The conductor is chosen if
+Two hypotheses are fitted, a dielectric and a conductor (problem.py). The conductor is chosen if
 its cost, priors included, is lower by _CONDUCTOR_ODDS nats, and it is neither bluish nor rough.
 
 One photograph leaves ambiguities: flash intensity and albedo, tilt and flash offset, and falloff
-and the contrast of a tone curve (photo/tone.py). Weak priors resolve them. The highlight's centre
+and the contrast of a tone curve (photo/photo.py). Weak priors resolve them. The highlight's centre
 is a measurement of tilt and offset together (problem.HighlightMeasurements).
 
 The cost has local minima, so the fit starts from several points (starts): from four roughnesses, or
@@ -29,22 +29,31 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
-from matcap.brdf.parameters import ALBEDO_LIMITS, F0_LIMITS
-from matcap.flash.coarse.cells import CoarseCells, cells_of
-from matcap.flash.coarse.hypotheses import Hypothesis, TiltPrior, hypothesis
-from matcap.flash.coarse.model import BLACK, Unknowns, numbers
+from matcap.brdf.cook_torrance import (
+    ALBEDO_LIMITS,
+    F0_LIMITS,
+)
+from matcap.flash.coarse.cells import (
+    BLACK,
+    CoarseCells,
+    Unknowns,
+    cells_of,
+    numbers,
+)
 from matcap.flash.coarse.problem import (
     HUBER,
     WEIGHT_BETWEEN,
     WHITE,
     HighlightMeasurements,
+    Hypothesis,
     Problem,
+    TiltPrior,
+    hypothesis,
 )
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
-from matcap.flash.render import Uniform
-from matcap.photo.photo import Photo
-from matcap.photo.tone import ToneCurve
+from matcap.flash.light import Uniform
+from matcap.photo.photo import Photo, ToneCurve
 
 # Cells across the long side and across the highlight's patch: of the coarse grid for all starting
 # points, and of the fine one for the best.

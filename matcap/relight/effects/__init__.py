@@ -2,5 +2,5 @@
 
 Each file states the formula with its source, the picture without the effect ("Left out"), the cost,
 and `bound(limits)`: a rigorous upper bound, in radiance, on the change from leaving it out.
-planning.py decides from the bounds.
+render.py decides from the bounds.
 """

@@ -25,12 +25,25 @@ from functools import lru_cache
 import numpy as np
 
 from matcap.relight.block import Block
-from matcap.relight.effects.bound import Bound
-from matcap.relight.loops.library import LANES, KeptArrays, Whole, address, loops
-from matcap.relight.loops.structures import CAreaLight, CRule, directions
-from matcap.relight.scene import RectangleLight, SphereLight
-from matcap.relight.scene_bounds import SceneBounds
-from matcap.relight.vectors import Array, unit3
+from matcap.relight.camera import (
+    Array,
+    unit3,
+)
+from matcap.relight.loops.library import (
+    LANES,
+    CAreaLight,
+    CRule,
+    KeptArrays,
+    Whole,
+    address,
+    directions,
+    loops,
+)
+from matcap.relight.plan import Bound, SceneBounds
+from matcap.relight.scene import (
+    RectangleLight,
+    SphereLight,
+)
 
 AreaLight = RectangleLight | SphereLight
 SAMPLES = 144

@@ -17,19 +17,31 @@ from ctypes import byref
 import numpy as np
 
 from matcap.relight.block import Block
-from matcap.relight.effects.bound import Bound
-from matcap.relight.loops.library import address, loops
-from matcap.relight.loops.structures import (
+from matcap.relight.camera import (
+    Array,
+    unit3,
+)
+from matcap.relight.loops.library import (
     DIFFUSE,
     LOST,
     SPECULAR,
     VECTOR,
     CHorizon,
     CLamp,
+    address,
+    loops,
 )
-from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
-from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
-from matcap.relight.vectors import Array, unit3
+from matcap.relight.plan import (
+    LARGEST_ALBEDO,
+    Bound,
+    SceneBounds,
+)
+from matcap.relight.scene import (
+    DirectionalLight,
+    PointLight,
+    RectangleLight,
+    SphereLight,
+)
 
 
 def diffuse_bound(limits: SceneBounds) -> Bound:

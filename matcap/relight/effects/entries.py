@@ -9,23 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from matcap.relight.block import Block
-from matcap.relight.effects import (
-    area,
-    direct,
-    environment,
-    filtering,
-    interreflection,
-    multiscatter,
-    parallax,
-    shadows,
-    visibility,
-)
-from matcap.relight.effects.bound import Bound
+from matcap.relight.block import Block, Hits
+from matcap.relight.camera import Array
+from matcap.relight.effects import area, direct, environment, multiscatter, relief
+from matcap.relight.plan import Bound, SceneBounds
 from matcap.relight.relief import Relief
-from matcap.relight.scene_bounds import SceneBounds
-from matcap.relight.surfaces.hits import Hits
-from matcap.relight.vectors import Array
 
 
 @dataclass(frozen=True)
@@ -46,10 +34,10 @@ EFFECTS: Mapping[str, Effect] = {
     "falloff": Effect(direct.falloff_bound),
     "area": Effect(area.bound),
     "environment": Effect(environment.bound),
-    "filtering": Effect(filtering.bound),
-    "parallax": Effect(parallax.bound, move=parallax.move),
-    "shadows": Effect(shadows.bound),
-    "visibility": Effect(visibility.bound),
-    "interreflection": Effect(interreflection.bound, add=interreflection.add),
+    "filtering": Effect(relief.filtering_bound),
+    "parallax": Effect(relief.parallax_bound, move=relief.move),
+    "shadows": Effect(relief.shadows_bound),
+    "visibility": Effect(relief.visibility_bound),
+    "interreflection": Effect(relief.interreflection_bound, add=relief.add_interreflection),
     "multiscatter": Effect(multiscatter.bound),
 }

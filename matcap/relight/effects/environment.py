@@ -24,16 +24,32 @@ from typing import Any
 
 import numpy as np
 
-from matcap.relight.block import Block
+from matcap.relight.block import (
+    Block,
+    Hits,
+    to_frame,
+    to_scene,
+)
+from matcap.relight.camera import (
+    Array,
+    Vec,
+    dot,
+    vec,
+)
 from matcap.relight.effects import direct
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
-from matcap.relight.environment_map import Environment
-from matcap.relight.loops.library import address, loops
-from matcap.relight.loops.structures import CHorizon, directions
-from matcap.relight.scene_bounds import LARGEST_ALBEDO, SceneBounds
-from matcap.relight.surfaces.hits import Hits, to_frame, to_scene
-from matcap.relight.tables import albedo
-from matcap.relight.vectors import Array, Vec, dot, vec
+from matcap.relight.environment_map import Environment, albedo
+from matcap.relight.loops.library import (
+    CHorizon,
+    address,
+    directions,
+    loops,
+)
+from matcap.relight.plan import (
+    DEFAULT_TOLERANCE,
+    LARGEST_ALBEDO,
+    Bound,
+    SceneBounds,
+)
 
 SAMPLES = 144  # at the default tolerance
 _MOST = 4181

@@ -1,7 +1,8 @@
 """Multiple scattering between microfacets: the energy that a single bounce loses [kulla2017].
 
 f_ms = Fms (1 - E(n.l)) (1 - E(n.v)) / (pi (1 - Eavg)), Fms = Favg^2 Eavg / (1 - Favg (1 - Eavg)),
-Favg = F0 + (1 - F0) / 21 for Schlick's Fresnel; E and Eavg are tables (matcap.relight.tables).
+Favg = F0 + (1 - F0) / 21 for Schlick's Fresnel; E and Eavg are tables
+(matcap.relight.environment_map).
 Reciprocal; with F0 = 1 all energy is reflected.
 
 Left out: rough metals lose up to half their light. Cost: two table lookups a light and pixel.
@@ -15,10 +16,9 @@ import math
 
 import numpy as np
 
-from matcap.relight.effects.bound import Bound
-from matcap.relight.scene_bounds import SceneBounds
-from matcap.relight.tables import albedo
-from matcap.relight.vectors import Array
+from matcap.relight.camera import Array
+from matcap.relight.environment_map import albedo
+from matcap.relight.plan import Bound, SceneBounds
 
 
 def bound(limits: SceneBounds) -> Bound:

@@ -1,4 +1,4 @@
-"""Loads the compiled loops, and passes arrays to them."""
+"""The compiled loops, and their C structures field by field."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from matcap.files.compiled import find_library, not_built
-from matcap.relight.vectors import Array
+from matcap.files.process import find_library, not_built
+from matcap.relight.camera import Array, lattice
+
+# Loads the compiled loops, and passes arrays to them.
+
 
 # As in loops.h.
 _FORM = 3
@@ -70,3 +73,130 @@ def address(array: Array) -> Any:  # noqa: ANN401
     """Pointer to a C-contiguous array that the loops write to."""
     assert array.flags.c_contiguous
     return Pointer(array.ctypes.data)
+
+
+# C structures of the loops, field by field as in loops.h and the .c files, which explain them.
+
+
+_Three, _Nine = Pointer * 3, Pointer * 9
+_Vector = Real * 3
+# Terms that a CLamp adds, as bits (lights.c); VECTOR is vector irradiance.
+DIFFUSE, SPECULAR, LOST, VECTOR = 1, 2, 4, 8
+
+
+class CField(ctypes.Structure):
+    """Field: the height field."""
+
+    _fields_ = (
+        ("heights", Pointer), ("columns", Whole), ("rows", Whole), ("ends", Whole), ("lift", Real),
+        ("high", ctypes.c_double), ("low", ctypes.c_double), ("texel", ctypes.c_double),
+        ("clear", Pointer),
+    )  # fmt: skip
+
+
+class CPixels(ArrayStructure):
+    """Structure of a block of pixels."""
+
+    _fields_ = (
+        ("count", ctypes.c_int64), ("column", Pointer), ("row", Pointer), ("point", _Three),
+        ("frame", _Nine), ("height", Pointer), ("view", _Three), ("normal", _Three),
+        ("n_dot_v", Pointer), ("alpha", Pointer), ("facing", Pointer), ("wide", Pointer),
+        ("diffuse", _Three),
+        ("specular", _Three), ("strength", _Three), ("near", Pointer), ("lost", Pointer),
+        ("lost_size", Whole), ("lost_step", Real), ("total", _Three), ("vector_irradiance", _Nine),
+    )  # fmt: skip
+
+
+class CLattice(ArrayStructure):
+    """Lattice: samples of visible normals."""
+
+    _fields_ = (
+        ("u", Pointer), ("cosine", Pointer), ("sine", Pointer), ("weight", Pointer),
+        ("points", Whole),
+    )  # fmt: skip
+
+
+class CLamp(ctypes.Structure):
+    """Lamp: a point or directional light."""
+
+    _fields_ = (
+        ("place", _Vector), ("normal", _Vector), ("colour", _Vector), ("far", Whole),
+        ("faces", Whole), ("parts", Whole), ("power", Real), ("even", Real),
+    )  # fmt: skip
+
+
+class CRule(ctypes.Structure):
+    """Rule: quadrature points of an area light."""
+
+    _fields_ = (
+        ("a", Pointer), ("b", Pointer), ("c", Pointer), ("weight", Pointer), ("cell", Pointer),
+        ("nodes", Whole), ("order", Whole),
+    )  # fmt: skip
+
+
+class CAreaLight(ArrayStructure):
+    """AreaLight: a sphere or rectangle, and its quadrature rules."""
+
+    _fields_ = (
+        ("place", _Vector), ("colour", _Vector), ("normal", _Vector), ("across", _Vector),
+        ("along", _Vector), ("size", Real * 2), ("radius", Real), ("half", Real), ("even", Real),
+        ("density", Real), ("rate", Real), ("spread", Real), ("turn", Real),
+        ("diffuse", Whole), ("specular", Whole), ("limits", Whole * 6),
+        ("plain", CRule * 8), ("parted", CRule * 8), ("probe", CRule),
+    )  # fmt: skip
+
+
+class CSearch(ctypes.Structure):
+    """Search: step sizes of view rays through the height field."""
+
+    _fields_ = (
+        ("peaks", Pointer), ("around", Whole), ("steepest", Real), ("most", Real),
+        ("least", Real), ("density", Real),
+    )  # fmt: skip
+
+
+class CTexels(ArrayStructure):
+    """Texels: a mip pyramid."""
+
+    _fields_ = (
+        ("rows", Pointer), ("starts", Pointer), ("widths", Pointer), ("heights", Pointer),
+        ("channels", Whole), ("levels", Whole),
+    )  # fmt: skip
+
+
+class CEnvironment(ArrayStructure):
+    """Environment: prefiltered octahedral maps."""
+
+    _fields_ = (
+        ("atlas", Pointer), ("tops", Pointer), ("sides", Pointer), ("width", Whole),
+        ("levels", Whole), ("finest", Real), ("blur", Real), ("mean", _Vector),
+    )  # fmt: skip
+
+
+class CHorizon(ctypes.Structure):
+    """Horizon: horizon maps that directions are compared with."""
+
+    _fields_ = (
+        ("tangents", Pointer), ("columns", Whole), ("rows", Whole), ("adaptive", Whole),
+    )  # fmt: skip
+
+
+class CWalk(ArrayStructure):
+    """Walk: steps of the horizon maps' computation."""
+
+    _fields_ = (
+        *((name, Pointer) for name in (
+            "padded", "lit", "cosine", "sine", "offset", "middle", "inverse", "end", "nearest",
+        )),
+        ("plane", ctypes.c_int64), ("steps", Whole), ("parts", Whole), ("columns", Whole),
+        ("reach", Whole),
+        ("width", Whole), ("highest", Real),
+    )  # fmt: skip
+
+
+@cache
+def directions(samples: int) -> CLattice:
+    """A lattice of at least `samples` visible normals, padded to a multiple of LANES."""
+    rows, kept = np.array(lattice(samples), dtype=np.float32).T, KeptArrays()
+    rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % LANES)))
+    return kept.kept_by(CLattice(*(kept.of(row) for row in rows), rows.shape[1]))

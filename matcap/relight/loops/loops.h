@@ -1,6 +1,6 @@
 /* Shared by the loops of relighting: pixels, the height field, lobes.
 
-   structures.py declares these structures for Python, field by field. */
+   library.py declares these structures for Python, field by field. */
 
 #ifndef MATCAP_RELIGHT_LOOPS_H
 #define MATCAP_RELIGHT_LOOPS_H
@@ -55,7 +55,7 @@ typedef struct {
     const uint8_t *facing; /* 1 where the surface faces the camera */
     const float *wide;     /* side of the footprint, in texels */
     const float *diffuse[3], *specular[3];
-    /* Multiple scattering: factor, index of the row in the table, the table (tables.py: lost). */
+    /* Multiple scattering: factor, index of the row in the table, the table (environment_map.py: lost). */
     const float *strength[3], *near, *lost;
     int32_t lost_size;
     float lost_step;

@@ -3,7 +3,7 @@
 #include "loops.h"
 
 typedef struct {
-    const float *atlas, *tops, *sides; /* levels, their first rows and sides: see octahedron.py */
+    const float *atlas, *tops, *sides; /* levels, their first rows and sides: see environment_map.py */
     int32_t width, levels;             /* of the atlas */
     float finest; /* side of a texel of level 0, radians */
     float blur;   /* side of the averaged solid angle over that of a sample */

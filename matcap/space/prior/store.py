@@ -1,16 +1,11 @@
-"""Prior: the trained networks and the model of their space, and its file.
-
-One safetensors file: encoder and decoder in half precision, the conditional mean, anchors, and JSON
-metadata. Nothing in it is executed; every shape is checked against the description, and an error
-names the tensor. The alignment branch has a file of its own (space/alignment.py), as captures need
-it without the prior.
-"""
+"""Prior: the trained networks, the model of their space with its anchors, and its file."""
 
 from __future__ import annotations
 
+import copy
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,25 +17,227 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
-from matcap.field.draw_options import SPREAD
 from matcap.field.header import DAMAGED
 from matcap.field.material import Material
+from matcap.field.options import SPREAD
 from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.plane import Plane, read_plane
+from matcap.flash.light import render_rectified
+from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, Decoder
-from matcap.space.encoder import BACKBONES, Encoder, EncoderConfig
+from matcap.space.encoder import (
+    BACKBONES,
+    Encoder,
+    EncoderConfig,
+    describe_windows,
+    numbers,
+    picture,
+    texture,
+)
 from matcap.space.freeze import freeze
-from matcap.space.picture import picture
-from matcap.space.prior.anchors import Anchor, Anchors, ConditionalMean, origin
-from matcap.space.prior.base import VARYING, base_of, fold
-from matcap.space.prior.encoder_input import describe_windows, numbers, texture
-from matcap.space.stored import config_document, decoder_config, empty_decoder
-from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.start import log_contrast
-from matcap.statistics.lattice import find_lattice
+from matcap.space.tuned import TunedDecoder, config_document, decoder_config, empty_decoder
+from matcap.space.tuning.match import head_start, log_contrast
+from matcap.statistics.lattice import Wave, find_lattice
+
+# The base: offset and scale of the decoder's raw outputs, from the coarse fit.
+#
+# raw = mean + deviation * output
+#
+# The network then learns differences from the coarse fit only. Both fold exactly into the decoder's
+# last AdaIN (`fold`), so that a material's decoder outputs raw values.
+
+
+VARYING = 8  # numbers of a base that differ between materials: 5 means, 3 colour deviations
+
+_CONTRASTS = (0.02, 1.5)  # limits of the deviation of log colour
+# Factors on the deviations that a capture starts with; larger for F0 and roughness, whose means
+# must be able to change more.
+_UNIT = (1.0, 1.0, 1.0, 3.0, 3.0, 1.0)
+
+# Deviations of F0, roughness and height are the same for every photograph.
+_ANY = CoarseFit((0.5, 0.5, 0.5), 0.04, 0.5, FlashSetup(), 0.0)
+
+
+@dataclass(frozen=True)
+class Base:
+    """Offset and scale of each raw output, (OUTPUTS,) or (B, OUTPUTS) each."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    def apply(self, output: Tensor) -> Tensor:
+        """Raw values mean + deviation * output, (B, OUTPUTS, H, W)."""
+        return self.mean[..., None, None] + self.deviation[..., None, None] * output
+
+
+def base_of(coarse: CoarseFit, contrast: Tensor) -> Base:
+    """The base of a photograph; `contrast` is (3,) from tuning.start.log_contrast."""
+    mean, deviation = head_start(coarse, contrast.float().clamp(*_CONTRASTS))
+    return Base(mean, deviation * torch.tensor(_UNIT))
+
+
+def varying(base: Base) -> Tensor:
+    """(VARYING,) numbers that differ between bases: means, and logs of colour deviations."""
+    return torch.cat([base.mean[:5], base.deviation[:3].log()])
+
+
+def base_from(numbers: Tensor) -> Base:
+    """The inverse of varying()."""
+    rest = head_start(_ANY, torch.zeros(3))[1][3:] * torch.tensor(_UNIT[3:])
+    low, high = _CONTRASTS
+    return Base(
+        torch.cat([numbers[:5], torch.zeros(1)]),
+        torch.cat([numbers[5:].exp().clamp(low, 1.2 * high), rest]),
+    )
+
+
+def fold(decoder: Decoder, base: Base) -> Decoder:
+    """A copy of a decoder with the base folded into its head, so that it outputs raw values."""
+    folded = copy.deepcopy(decoder).requires_grad_(True)
+    scale = torch.cat([base.deviation, base.deviation])
+    shift = torch.cat([base.mean, torch.zeros_like(base.mean)])
+    with torch.no_grad():
+        affine = folded.head.adain.affine
+        affine.weight.mul_(scale[:, None])
+        affine.bias.mul_(scale).add_(shift)
+    return folded
+
+
+# Contact sheet of materials.
+
+
+_COLUMNS = 4  # materials in a row
+_BRIGHTNESS = 0.25  # mean radiance of every tile
+
+
+def flash_picture(material: Material, size: int, seed: int) -> Tensor:
+    """(3, size, size) radiance of a material under its own flash, seen from straight above."""
+    maps = material.maps(size, size, seed=seed)
+    with torch.inference_mode():
+        return render_rectified(maps, material.setup)
+
+
+def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> NDArray[np.float32]:
+    """(rows * size, columns * size, 3) linear image, each material rendered under its own flash.
+
+    Args:
+        materials: at least one.
+        seed: of the first material's field; each next one adds 1.
+        size: texels a side of a tile.
+    """
+    count = len(materials)
+    tiles = []
+    for index, material in enumerate(materials):
+        picture = flash_picture(material, size, seed + index)
+        exposed = picture * (_BRIGHTNESS / picture.mean().clamp_min(1e-6))
+        tiles.append(exposed.clamp(0.0, 1.0).permute(1, 2, 0).numpy())
+    columns = min(_COLUMNS, count)
+    blank = np.zeros_like(tiles[0])
+    rows = [
+        np.concatenate([*row, *([blank] * (columns - len(row)))], axis=1)
+        for row in (tiles[i : i + columns] for i in range(0, count, columns))
+    ]
+    return np.concatenate(rows, axis=0)
+
+
+# Anchors: the training photographs' positions in the prior's space, and draws near them.
+#
+# Latent vectors of the training photographs are standardised. But a few hundred points leave most
+# of 64 dimensions empty, and the decoder is untrained there. Materials are therefore drawn near
+# anchors. An anchor is a latent vector, a base (mean maps, see store.py) and a lattice. The base is
+# modelled as
+#
+# base = A code + b + L rest,    rest ~ N(0, I).
+#
+# A draw at distance t of an anchor z = (code, rest) is
+#
+# sqrt(1 - t^2) z + t e,    e ~ N(0, I),
+#
+# which is the anchor at t = 0, independent of it at t = 1, and standard normal for any t if z is.
+# The lattice is the anchor's.
+
+
+@dataclass(frozen=True)
+class ConditionalMean:
+    """Linear-Gaussian model of bases given latent vectors, fitted to the training photographs.
+
+    base = A code + b + L rest,    rest ~ N(0, I)
+    """
+
+    matrix: Tensor
+    """A, (VARYING, CODE_SIZE)."""
+    offset: Tensor
+    """Vector b, (VARYING,)."""
+    spread: Tensor
+    """L, (VARYING, VARYING) lower triangular."""
+
+    def base(self, code: Tensor, rest: Tensor) -> Base:
+        """A code + b + L rest; `rest` is (VARYING,)."""
+        return base_from(self.matrix @ code + self.offset + self.spread @ rest)
+
+    def rest(self, code: Tensor, base: Base) -> Tensor:
+        """(VARYING,) whitened residual L^-1 (base - A code - b)."""
+        residual = varying(base) - self.offset - self.matrix @ code
+        return torch.linalg.solve_triangular(self.spread, residual[:, None], upper=False)[:, 0]
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A position in the prior's space."""
+
+    code: Tensor
+    """(CODE_SIZE,) latent vector."""
+    rest: Tensor
+    """(VARYING,) whitened residual of the base."""
+    waves: tuple[Wave, ...]
+    """Lattice, in cycles per texel of a drawn material."""
+
+    def near(self, spread: float, generator: torch.Generator) -> Anchor:
+        """Draw a position at distance t = spread, in [0, 1]; see the module's equation."""
+        drawn = torch.randn(CODE_SIZE + VARYING, generator=generator)
+        kept = math.sqrt(1.0 - spread**2)
+        here = kept * torch.cat([self.code, self.rest]) + spread * drawn
+        return Anchor(here[:CODE_SIZE], here[CODE_SIZE:], self.waves)
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Positions of the N training photographs."""
+
+    codes: Tensor
+    """(N, CODE_SIZE) standardised latent vectors."""
+    rests: Tensor
+    """(N, VARYING) whitened residuals of the base maps, `rest` in the module."""
+    waves: Tensor
+    """(N, 2, 2) frequencies (fx, fy) of two waves; (0, 0) for absent ones."""
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+    def __getitem__(self, index: int) -> Anchor:
+        waves = tuple(Wave(fx, fy) for fx, fy in self.waves[index].tolist() if fx or fy)
+        return Anchor(self.codes[index], self.rests[index], waves)
+
+    def draw(self, spread: float, generator: torch.Generator) -> Anchor:
+        """Draw a position near a random anchor."""
+        index = int(torch.randint(len(self), (1,), generator=generator))
+        return self[index].near(spread, generator)
+
+
+def origin() -> Anchor:
+    """The origin of the prior's space, without a lattice."""
+    return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
+
+
+# Prior: the trained networks and the model of their space, and its file.
+#
+# One safetensors file: encoder and decoder in half precision, the conditional mean, anchors, and
+# JSON metadata. Nothing in it is executed; every shape is checked against the description, and an
+# error names the tensor. The alignment branch has a file of its own (space/alignment.py), as
+# captures need it without the prior.
+
 
 FORMAT = "matcap-prior"
 # Version 2 added structured noise; version 3 moved the alignment branch to its own file.
@@ -62,7 +259,7 @@ class Prior:
     encoder: Encoder
     """Photograph to latent vector."""
     decoder: Decoder
-    """Latent vector and noise to outputs relative to the base (base.py)."""
+    """Latent vector and noise to outputs relative to the base (store.py)."""
     conditional_mean: ConditionalMean
     """Model of bases given latent vectors."""
     about: Mapping[str, Any] = field(default_factory=dict)
@@ -115,7 +312,7 @@ class Prior:
         Args:
             seed: a 64-bit integer.
             near: anchor to draw near; None is a random one of the prior's.
-            spread: distance t from the anchor, in [0, 1]; see anchors.py.
+            spread: distance t from the anchor, in [0, 1]; see store.py.
             name: of the material; the seed is appended.
 
         Raises:

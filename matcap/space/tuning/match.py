@@ -1,15 +1,4 @@
-"""Matching: corrects mean and contrast of a fine-tuned material to those of the photograph.
-
-Fine-tuning ends with too little contrast where it does not reproduce the structure, and possibly
-with a wrong mean (docs/notes/prior.md). Mean and deviation of every map are parameters of the last
-AdaIN. They are corrected by rendering the material as the whole photograph, comparing, and
-updating, _ROUNDS times. Diffuse albedo and height share one gain, because the photograph
-determines their contrast only jointly; F0 and roughness are not changed.
-
-The contrast ratio is measured by the mean over blocks and by their median; the gain is the ratio
-nearest to 1 between both. Scratches or clouds raise the mean only, and a global gain would not
-reproduce them.
-"""
+"""The start of fine-tuning, the exemplar as teacher, and matching of mean and contrast."""
 
 from __future__ import annotations
 
@@ -20,15 +9,203 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
+from matcap.brdf.maps import MapSet, relief_difference
 from matcap.field.material import Material, lacking
+from matcap.field.plane import Rectangle
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import plane_points
-from matcap.flash.plane import Plane
-from matcap.flash.render import render_flash
-from matcap.space.decoder import OUTPUTS
+from matcap.flash.light import FlashLight, render_flash
+from matcap.flash.rectify import Plane
+from matcap.space.decoder import ALIGNMENT, OUTPUTS, Decoder, DecoderConfig, with_cells
+from matcap.space.freeze import AROUND, Drawing
+from matcap.space.random_field import CELL_CHANNELS
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.windows import shot_deviation
-from matcap.statistics.encoding import shading
+from matcap.statistics.compare import shading
+
+# Random decoder that fine-tuning starts from without a prior.
+#
+# The last AdaIN is set to the coarse fit's mean maps, the photograph's contrast of the diffuse
+# albedo, and little relief. Fine-tuning then explains texture by albedo first, and by relief what
+# depends on the direction to the flash. With more initial relief dark spots end as pits
+# (docs/notes/prior.md).
+
+
+# The head's first parameters; docs/notes/prior.md.
+_CONTRAST_GAIN = 1.2  # logits of diffuse albedo per log radiance: d log sigmoid(x) / dx is below 1
+_SPECULAR_CONTRAST = 0.1  # initial standard deviation of the logit of F0
+_ROUGHNESS_CONTRAST = 0.1  # initial standard deviation of the logit of roughness
+_RELIEF_CONTRAST = 0.15  # initial standard deviation of height, texels
+
+
+def head_start(coarse: CoarseFit, contrast: Tensor) -> tuple[Tensor, Tensor]:
+    """Initial mean and deviation (6,) of the raw outputs.
+
+    Args:
+        coarse: the uniform material.
+        contrast: (3,) standard deviation of the photograph's log colour; see log_contrast.
+    """
+    return (
+        torch.cat([coarse.logits(), torch.zeros(1)]),
+        torch.cat(
+            [
+                contrast * _CONTRAST_GAIN,
+                torch.tensor([_SPECULAR_CONTRAST, _ROUGHNESS_CONTRAST, _RELIEF_CONTRAST]),
+            ]
+        ),
+    )
+
+
+def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
+    """(3,) standard deviation of log radiance less its shading, over valid texels.
+
+    Args:
+        linear: (3, H, W) radiance.
+        valid: (H, W) bool; all texels are used where none is valid.
+    """
+    toe = 0.01 * float(linear.median()) + 1e-6
+    log = torch.log(linear.clamp(0.0, 1.0) + toe)
+    texture = log - shading(log[None])[0]
+    texture = texture[:, valid] if bool(valid.any()) else texture.flatten(1)
+    return texture.std(dim=1, correction=0).clamp(0.02, 1.5)
+
+
+def untrained(
+    config: DecoderConfig,
+    coarse: CoarseFit,
+    contrast: Tensor,
+    seed: int,
+) -> Decoder:
+    """A random decoder with the mean maps of a coarse fit; for the latent vector zero.
+
+    Args:
+        contrast: (3,) from log_contrast.
+        seed: of the weights.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        decoder = Decoder(config)
+    with torch.no_grad():
+        affine = decoder.head.adain.affine
+        affine.weight.zero_()
+        affine.bias.copy_(torch.cat(head_start(coarse, contrast)))
+    return decoder
+
+
+def reading_cells(decoder: Decoder, seed: int) -> Decoder:
+    """Add cell channels to a decoder, with random weights."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        fresh = Decoder(replace(decoder.config, cells=CELL_CHANNELS))
+    return with_cells(decoder, fresh)
+
+
+# The exemplar's maps as a teacher of a decoder that reads its drawing.
+#
+# In every step of fine-tuning a window of one field of the exemplar is drawn, and the decoder's
+# maps m are compared with the field's own, m', besides the texture distance to the photograph:
+#
+# 3 mean |log R_l - log R'_l| + mean |logit m - logit m'| + 0.1 mean |log S_k / S'_k|,
+#
+# m the diffuse albedo, F0 and roughness, R_l the radiance under a far light l 53 degrees off the
+# normal, of which every step takes two, S_k the mean squared slope in octave k. Without the last
+# term stains become slow relief, which a flash hardly tells from them. Figures in
+# docs/notes/prior.md.
+
+
+_LIT, _RELIEF = 3.0, 0.1  # weights of radiance and of slopes; docs/notes/prior.md
+_FLAT = 0.005  # root-mean-square slope of an octave that is added to both
+_LIGHTS = (
+    (-0.8, 0.0, 0.6), (0.8, 0.0, 0.6), (0.0, 0.8, 0.6),
+    (0.0, -0.8, 0.6), (0.57, 0.57, 0.6), (-0.57, 0.57, 0.6),
+)  # fmt: skip
+MARGIN = ALIGNMENT  # texels around a window that are decoded too
+_AT_ONCE = 2  # lights in a step
+_DARKEST = 0.01  # added to radiance before the logarithm
+_TEACHER_EPSILON = 1e-3  # of albedo, F0 and roughness: bounds the logit at 0 and 1
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A window of the teacher's field."""
+
+    drawing: tuple[Tensor, ...]
+    """Drawing.levels of the window and MARGIN around it."""
+    maps: MapSet
+    """Its maps, (1, ., size, size)."""
+    seed: int
+    """Of the choice of lights."""
+
+    def loss(self, maps: MapSet) -> Tensor:
+        """How far maps (1, ., size, size) are from the window's; see the module's equation."""
+        generator = torch.Generator().manual_seed(self.seed)
+        chosen = torch.randperm(len(_LIGHTS), generator=generator)[:_AT_ONCE].tolist()
+        lit = [
+            (_log_radiance(maps, _LIGHTS[n]) - _log_radiance(self.maps, _LIGHTS[n])).abs().mean()
+            for n in chosen
+        ]
+        return (
+            _LIT * torch.stack(lit).mean()
+            + (_logits(maps) - _logits(self.maps)).abs().mean()
+            + _RELIEF * relief_difference(maps, self.maps, _FLAT).mean()
+        )
+
+
+@dataclass(frozen=True)
+class Teacher:
+    """One field of the exemplar, at least as large, from which windows are taken."""
+
+    drawing: Drawing
+    field: Tensor
+    """Stacked maps, with what the drawing needs around them."""
+    size: int
+    """Side of a window, texels."""
+
+    @staticmethod
+    def of(drawing: Drawing, size: int, seed: int) -> Teacher:
+        """A field of a seed."""
+        width, height = (max(side, size + 2 * MARGIN) for side in drawing.example.exemplar.size)
+        return Teacher(drawing, drawing.around(seed, Rectangle(0, 0, width, height)), size)
+
+    def lesson(self, seed: int) -> Lesson:
+        """A window at random."""
+        beyond = AROUND + MARGIN
+        whole, generator = self.size + 2 * beyond, torch.Generator().manual_seed(seed)
+        y, x = (
+            int(torch.randint(side - whole + 1, (), generator=generator))
+            for side in self.field.shape[1:]
+        )
+        read = self.field[:, y : y + whole, x : x + whole]
+        maps = read[None, :, beyond:-beyond, beyond:-beyond]
+        texel_size = self.drawing.example.exemplar.texel_size
+        return Lesson(self.drawing.levels_of(read), MapSet.from_stacked(maps, texel_size), seed)
+
+
+def _log_radiance(maps: MapSet, light: tuple[float, float, float]) -> Tensor:
+    """(1, 3, H, W) log radiance under a far light, seen from straight above."""
+    far = FlashLight.far(maps.diffuse.new_tensor(light))
+    lit = far.onto(maps.normal, exact=True).radiance(maps.diffuse, maps.specular, maps.roughness)
+    return (lit.clamp_min(0.0) + _DARKEST).log()
+
+
+def _logits(maps: MapSet) -> Tensor:
+    """(1, 5, H, W) logits of diffuse albedo, mean F0 and roughness."""
+    specular = maps.specular.mean(dim=1, keepdim=True)
+    return torch.logit(torch.cat([maps.diffuse, specular, maps.roughness], 1), eps=_TEACHER_EPSILON)
+
+
+# Matching: corrects mean and contrast of a fine-tuned material to those of the photograph.
+#
+# Fine-tuning ends with too little contrast where it does not reproduce the structure, and possibly
+# with a wrong mean (docs/notes/prior.md). Mean and deviation of every map are parameters of the
+# last AdaIN. They are corrected by rendering the material as the whole photograph, comparing, and
+# updating, _ROUNDS times. Diffuse albedo and height share one gain, because the photograph
+# determines their contrast only jointly; F0 and roughness are not changed.
+#
+# The contrast ratio is measured by the mean over blocks and by their median; the gain is the ratio
+# nearest to 1 between both. Scratches or clouds raise the mean only, and a global gain would not
+# reproduce them.
+
 
 # Matching; docs/notes/prior.md.
 _ROUNDS = 3  # iterations
@@ -40,7 +217,7 @@ _GAIN_STEP = (0.7, 1.4)  # limits of the gain in one iteration
 _GAIN = (0.6, 1.7)  # limits of the whole gain
 _SHIFT = 1.0  # limit of the whole shift, logits of diffuse albedo
 
-_LOGIT_EPSILON = 1e-5  # of albedo: bounds the logit at 0 and 1
+_ALBEDO_EPSILON = 1e-5  # of albedo: bounds the logit at 0 and 1
 _DIFFUSE, _HEIGHT = slice(0, 3), slice(5, 6)  # of the raw outputs
 
 
@@ -93,7 +270,7 @@ def correction(material: Material, plane: Plane, seed: int) -> Correction:
         tuned = _tuned(material)
         middle, _ = tuned.decoder.head.adain.target(tuned.code)
         maps = material.maps(width, height, seed=seed)
-        logit = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
+        logit = torch.logit(maps.diffuse, eps=_ALBEDO_EPSILON)
         moved, share = Correction(1.0, torch.zeros(3)), None
         for _ in range(_ROUNDS):
             now = _moved(maps, logit, middle[_DIFFUSE], moved)

@@ -1,21 +1,37 @@
-"""Windows of a photograph at which renderings are compared with it.
-
-A rendering is lit and viewed as at the place of its window. Comparing place by place separates
-relief from albedo: the shading of a bump depends on the direction to the flash, a dark spot does
-not.
-"""
+"""Windows of photographs at which renderings are compared, and texture distances over them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from matcap.flash.geometry import plane_points
-from matcap.flash.plane import Plane
-from matcap.statistics.compare import UNSEEN, Descriptor, Features, Weights, describe, distance
+from matcap.brdf.maps import MapSet
+from matcap.field.source import computes_bfloat16
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.light import render_flash
+from matcap.flash.rectify import Plane
+from matcap.space.freeze import Drawing
+from matcap.statistics.compare import (
+    UNSEEN,
+    Descriptor,
+    Encoding,
+    Features,
+    Weights,
+    describe,
+    distance,
+)
+from matcap.statistics.lattice import Wave
+
+# Windows of a photograph at which renderings are compared with it.
+#
+# A rendering is lit and viewed as at the place of its window. Comparing place by place separates
+# relief from albedo: the shading of a bump depends on the direction to the flash, a dark spot does
+# not.
+
 
 # Windows in which photograph and rendering are compared; docs/notes/prior.md.
 _HISS = 2e-3  # read noise, as a share of the clip level added to the radiance in shot noise
@@ -152,3 +168,66 @@ def _steps(length: int, size: int) -> list[int]:
     """First texels of windows of a size that cover a length, overlapping by at least half."""
     count = max(1, math.ceil((length - size) / (size / 2)) + 1)
     return [round(i * (length - size) / max(1, count - 1)) for i in range(count)]
+
+
+# Texture distance of a material to a photograph: windows rendered under its light.
+#
+# The loss of a decoder [henzler2021, sec. 4.3 and 4.6].
+
+
+@dataclass(frozen=True)
+class PhotographTarget:
+    """Target statistics of windows of a photograph."""
+
+    windows: Windows
+    """Windows, with their statistics."""
+    setup: FlashSetup
+    """Camera and flash."""
+    encoding: Encoding
+    """Colour space of the comparison."""
+    bank: Features
+    """Features whose statistics are compared."""
+    waves: tuple[Wave, ...]
+    """Frequency vectors of the photograph's lattice, cycles per texel."""
+    texel_size: float
+    """Side of a texel, plane units."""
+    weights: Weights = Weights()
+    """Weights of the statistics."""
+    expected: Tensor | None = None
+    """(5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None."""
+    drawing: Drawing | None = None
+    """The drawing that the decoder reads, or None."""
+
+
+def shuffled(count: int, seed: int) -> Iterator[int]:
+    """Yield random permutations of 0 ... count - 1, without end."""
+    generator = torch.Generator().manual_seed(seed)
+    while True:
+        yield from torch.randperm(count, generator=generator).tolist()
+
+
+def render_windows(maps: MapSet, target: PhotographTarget, places: Tensor, step: int) -> Tensor:
+    """(B, 3, size, size) radiance of maps, lit and viewed as at `places`, with sensor noise."""
+    windows = target.windows
+    rendered = render_flash(maps, target.setup, windows.points[places])
+    return rendered if windows.noise is None else with_noise(rendered, windows.noise[places], step)
+
+
+def compare_windows(
+    rendered: Tensor, target: PhotographTarget, places: Tensor, *, half_precision: bool
+) -> Tensor:
+    """Mean texture distance of renderings to the photograph's windows at `places`; a scalar."""
+    with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
+        described = describe(rendered, target.encoding, target.bank)
+    return distance(described, target.windows.target.select(places), target.weights).mean()
+
+
+def with_noise(rendered: Tensor, noise: Tensor, step: int) -> Tensor:
+    """Add sensor noise (Windows.noise) to renderings (B, 3, size, size).
+
+    The noise is shifted and signed at random by step, and scaled by shot_deviation.
+    """
+    generator = torch.Generator().manual_seed(step)
+    down, across, sign = torch.randint(noise.shape[-1], (3,), generator=generator).tolist()
+    moved = noise.roll((down, across), dims=(-2, -1)) * (1.0 if sign % 2 else -1.0)
+    return rendered + moved * shot_deviation(rendered.detach())

@@ -1,5 +1,5 @@
-// Unpacks the maps inside a self-contained document (enclosed.py), and computes their mip levels as
-// matcap/view/moments.py and level_of_detail.py do for a map set.
+// Unpacks the maps inside a self-contained document (document.py), and computes their mip levels as
+// matcap/view/level_of_detail.py and level_of_detail.py do for a map set.
 
 import { linearOf } from "./adjust.js";
 

@@ -49,7 +49,7 @@ export class View {
     this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
     const places = buildProgram(gl, source.form);
     this.places = places;
-    // F0 has one channel or three, as in moments.py.
+    // F0 has one channel or three, as in level_of_detail.py.
     const albedo = about.mean.slice(0, -5), [alpha2, , , squares] = about.mean.slice(-5);
     const f0 = albedo.length > 4 ? albedo.slice(3) : Array(3).fill(albedo[3]);
     gl.uniform3f(places.meanDiffuse, ...albedo.slice(0, 3));

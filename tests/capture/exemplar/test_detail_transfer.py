@@ -16,8 +16,11 @@ from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.rectified import network_input
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
-from matcap.flash.plane import Plane, plane_of
-from matcap.flash.render import render_flash
+from matcap.flash.light import render_flash
+from matcap.flash.rectify import (
+    Plane,
+    plane_of,
+)
 from matcap.statistics.lattice import Wave
 
 

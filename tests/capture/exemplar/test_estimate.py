@@ -1,40 +1,56 @@
-"""From a photograph's plane to the exemplar."""
+"""The estimate of the exemplar, its network, and its aligned maps."""
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
+from materials import a_material
 from photographed import photographed
+from PIL import Image
+from typer.testing import CliRunner
 
-from matcap.capture.exemplar.estimate import (
-    ExemplarEstimate,
-    estimate_exemplar,
-    map_set_of,
-)
+from matcap.brdf.cook_torrance import SurfaceParameters
+from matcap.brdf.folder import find_mapsets, read_mapset
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar, map_set_of
 from matcap.capture.exemplar.network.network import (
+    ANSWERS,
     ERRORS,
     INPUTS,
     SHIPPED,
     ExpectedErrors,
     Inverse,
     InverseConfig,
+    NetworkAnswer,
+    NetworkInputs,
     load_inverse,
+    network_inputs,
     read_inverse,
 )
 from matcap.capture.exemplar.observation import Observation, lit, seen_share
 from matcap.capture.exemplar.predict import _shift_averaged, confidence_of, predict_maps
 from matcap.capture.exemplar.refine import narrowed
-from matcap.capture.progress import CaptureClock
 from matcap.capture.rectified import Rectified, network_input
-from matcap.errors import MatcapError
+from matcap.capture.settings import CaptureClock
+from matcap.cli.main import app
+from matcap.errors import MatcapError, UsageError
+from matcap.field.material import Material
+from matcap.files.color import srgb_encode
+from matcap.files.exr import read_exr
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.plane import Plane, plane_of
-from matcap.flash.rectify import inside
-from matcap.flash.render import render_flash
+from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
+from matcap.flash.light import FlashLight, Uniform, render_flash, uniform_radiance
+from matcap.flash.rectify import Plane, inside, plane_of
+from matcap.space.between import blend
+
+# From a photograph's plane to the exemplar.
 
 
 def _plane(clip: float = 1e9):
@@ -218,3 +234,195 @@ def test_relief_is_no_wider_than_the_highlight(
     )
     found = narrowed(observed, replace(prediction, residuals=guess)).residuals
     assert least <= float(found.height.std() / guess.height.std()) <= most
+
+
+# The inverse network: what it is told, what it answers, and how that is read.
+
+
+SETUP = FlashSetup(fov=60.0, offset=(0.1, -0.05, 0.0), tilt=(0.05, -0.03), intensity=(8.0,) * 3)
+UNIFORM = Uniform((0.3, 0.2, 0.1), 0.04, 0.5, SETUP)
+TINY = InverseConfig(widths=(8, 8, 12), context=8)
+
+
+def _inputs(height: int, width: int) -> torch.Tensor:
+    """(1, INPUTS, height, width) of all texels valid, some gloss everywhere."""
+    inputs = NetworkInputs.from_stacked(torch.randn(1, INPUTS, height, width))
+    gloss = inputs.gloss.abs().clamp_max(1.0)
+    return replace(inputs, valid=torch.ones_like(gloss), gloss=gloss).stacked()
+
+
+def _points(width: int, height: int) -> torch.Tensor:
+    return plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+
+
+def _flat(width: int, height: int) -> MapSet:
+    one = torch.ones(1, height, width)
+    return MapSet(
+        torch.tensor(UNIFORM.diffuse)[:, None, None] * one,
+        0.04 * one,
+        0.5 * one,
+        0.0 * one,
+        2.0 / width,
+    )
+
+
+def test_uniform_radiance_is_what_the_renderer_makes_of_flat_maps() -> None:
+    points = _points(64, 48)
+    expected = render_flash(_flat(64, 48), SETUP, points)
+    found, diffuse = uniform_radiance(UNIFORM, FlashLight.of(SETUP, points))
+    assert torch.allclose(found, expected, rtol=1e-4)
+    assert bool((diffuse < found).all())
+
+
+def test_a_photograph_of_the_uniform_material_departs_nowhere() -> None:
+    points = _points(256, 192)
+    linear = render_flash(_flat(256, 192), SETUP, points)
+    inputs = network_inputs(linear, torch.ones(192, 256, dtype=torch.bool), UNIFORM, points)
+    assert inputs.stacked().shape == (INPUTS, 192, 256)
+    assert float(inputs.log.abs().max()) < 0.01
+
+
+@pytest.mark.parametrize("fov", [40.0, 65.0, 90.0])
+def test_matte_slopes_show_as_the_tangent_of_the_lights_direction(fov: float) -> None:
+    """d log(n.l) / d slope at a flat place is -l_xy / l_z."""
+    setup = FlashSetup(fov=fov, offset=(0.08, 0.02, 0.0))
+    matte = Uniform((0.5, 0.5, 0.5), 1e-6, 0.99, setup)
+    points = _points(64, 48)
+    inputs = network_inputs(
+        torch.full((3, 48, 64), 0.2), torch.ones(48, 64, dtype=torch.bool), matte, points
+    )
+    light = camera_in_plane(setup)[1].float()[:, None, None]
+    tangent = (light - points)[:2] / (light - points)[2:]
+    assert torch.allclose(inputs.tangent, tangent, atol=0.01)
+    assert torch.allclose(inputs.slope_sensitivity, -tangent, atol=0.02)
+
+
+def test_reading_undoes_writing() -> None:
+    generator = torch.Generator().manual_seed(3)
+    draw = lambda channels: torch.rand(channels, 8, 12, generator=generator)  # noqa: E731
+    maps = MapSet(
+        0.1 + 0.5 * draw(3), 0.03 + 0.1 * draw(1), 0.2 + 0.6 * draw(1), 0.1 * draw(1), 2.0 / 12
+    )
+    uniform = UNIFORM.parameters()
+    residuals = SurfaceParameters.of(maps) - uniform
+    again = (uniform + residuals).maps(maps.texel_size)
+    assert torch.allclose(again.stacked(), maps.stacked(), atol=1e-5)
+
+
+def test_reads_pictures_of_any_aspect_and_starts_from_the_photograph_as_albedo() -> None:
+    torch.manual_seed(0)
+    network = Inverse(TINY).eval()
+    for height, width in ((32, 64), (96, 32)):
+        inputs = _inputs(height, width)
+        with torch.no_grad():
+            answer = network(inputs)
+        assert answer.shape == (1, ANSWERS, height, width)
+        albedo = NetworkAnswer.from_stacked(answer).residuals.diffuse
+        assert float((albedo - NetworkInputs.from_stacked(inputs).log).abs().mean()) < 0.5
+
+
+def test_what_is_seen_in_one_corner_is_told_in_the_other() -> None:
+    """Pooled context reaches farther than any convolution does."""
+    torch.manual_seed(0)
+    network = Inverse(TINY).eval()
+    inputs = _inputs(256, 256)
+    changed = inputs.clone()
+    changed[..., :32, :32] += 2.0
+    with torch.no_grad():
+        apart = (network(inputs) - network(changed))[..., -16:, -16:]
+    assert float(apart.abs().max()) > 1e-6
+
+
+def test_gradients_reach_every_weight() -> None:
+    torch.manual_seed(0)
+    network = Inverse(TINY)
+    network(_inputs(32, 32)).square().mean().backward()
+    silent = [name for name, p in network.named_parameters() if not p.grad.abs().sum() > 0]
+    assert silent == []
+
+
+def test_a_clipped_hot_spot_and_darkness_give_finite_inputs() -> None:
+    points = _points(64, 48)
+    linear = torch.zeros(3, 48, 64)
+    linear[:, 20:28, 28:36] = 1.0
+    valid = (linear < 0.98).all(0)
+    polished = Uniform((0.001, 0.001, 0.001), 0.9, 0.03, SETUP)
+    inputs = network_inputs(linear, valid, polished, points)
+    assert bool(torch.isfinite(inputs.stacked()).all())
+    assert math.isclose(float(inputs.valid.mean()), float(valid.float().mean()), rel_tol=1e-5)
+
+
+# `capture --aligned` and `--generator example`, as a user gives them.
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("aligned")
+    shot = photographed(0.15, 0.2, width=320, height=240)
+    linear = (shot.linear / shot.linear.quantile(0.995)).permute(1, 2, 0).numpy()
+    photo = out / "bumps.png"
+    cv2.imwrite(
+        str(photo), (srgb_encode(linear.clip(0.0, 1.0))[..., ::-1] * 65535).astype(np.uint16)
+    )
+    result = CliRunner().invoke(
+        app,
+        ["capture", str(photo), "-o", str(out), "--preset", "instant", "--size", "64x64",
+         "--detail", "320",
+         "--aligned", "--generator", "example", "-q"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    return out / photo.stem
+
+
+def test_the_piece_is_written_beside_the_material(folder: Path) -> None:
+    name = folder.name
+    maps, document = read_mapset(folder / f"{name}_photo.json")
+    trusted = read_exr(folder / f"{name}_photo_confidence.exr").pixels
+    assert trusted.shape == (maps.size[1], maps.size[0], 4)
+    assert 0.0 <= trusted.min() <= trusted.max() <= 1.0
+    assert document["provenance"]["of"] == "the photographed piece"
+    # A folder still means its material's own set.
+    assert find_mapsets(folder) == [folder / f"{name}.json"]
+
+
+def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
+    material = Material.load(folder / f"{folder.name}.matcap")
+    assert set(material.generators) == {"example"}
+    assert material.maps(48, 48, seed=2).size == (48, 48)
+    with pytest.raises(UsageError, match="no decoder of its own"):
+        material.maps(48, 48, generator="decoder")
+
+
+def test_it_is_blended_with_a_decoders_field(folder: Path) -> None:
+    material = Material.load(folder / f"{folder.name}.matcap")
+    drawn = a_material("drawn", across=512)
+    between = blend(material, drawn, 0.5)
+    assert set(between.generators) == {"example"}
+    assert between.texel_size == pytest.approx((material.texel_size * drawn.texel_size) ** 0.5)
+    assert bool(between.maps(48, 48).diffuse.isfinite().all())
+    assert blend(material, drawn, 0.0) is material
+
+
+def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None:
+    with Image.open(folder / "preview.png") as sheet:
+        whole = np.asarray(sheet).astype(int)
+    for lines in range(1, 8):  # of the verdict, above two blocks of one size
+        blocks = whole[20 + 28 * lines :].reshape(2, -1, whole.shape[1], 3)
+        (first, second), (own_first, own_second) = (
+            [block[100:400, x : x + 500] for x in (20, 20 + (blocks.shape[2] - 12) // 4)]
+            for block in blocks
+        )
+        if np.array_equal(first, own_first):
+            break
+    assert np.array_equal(first, own_first) and first.std() > 1.0
+    # The piece re-renders to the photograph texel by texel; more of the material cannot.
+    away, own_away = (np.abs(again - first).mean() for again in (second, own_second))
+    assert own_away < 0.5 * away
+
+
+def test_the_report_says_how_right_it_is(folder: Path) -> None:
+    values = json.loads((folder / "report.json").read_text())["exemplar"]
+    assert 0.0 <= values["error"] < 0.5
+    assert 0.0 <= values["left_out"] < 0.5
+    assert 0.0 < values["relief_spectrum"]["relief"] < 1.0
+    assert set(values["confidence"]) == {"diffuse", "specular", "roughness", "height"}

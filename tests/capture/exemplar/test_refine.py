@@ -1,4 +1,4 @@
-"""Refinement by re-rendering."""
+"""Refinement of maps, glints, and noise by channel."""
 
 from __future__ import annotations
 
@@ -6,17 +6,30 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 import torch
-from photographed import photographed
+from photographed import Photographed, photographed
 
-from matcap.brdf.parameters import SurfaceParameters
-from matcap.capture.exemplar.network.network import ExpectedErrors
+from matcap.brdf.cook_torrance import SurfaceParameters
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.estimate import estimate_exemplar, map_set_of
+from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
+from matcap.capture.exemplar.observation import channel_noise, channel_weights, code_step
 from matcap.capture.exemplar.refine import (
     flatten,
     radiance_residual,
     refine_albedo,
+    scaled_by_glints,
     with_photographed_mean,
 )
+from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.settings import CaptureClock
+from matcap.files.color import srgb_decode
+from matcap.flash.light import render_flash
+from matcap.flash.rectify import plane_of
+
+# Refinement by re-rendering.
+
 
 ERRORS = ExpectedErrors.from_stacked(torch.log(torch.tensor([0.2, 0.1, 0.1, 0.1]))[:, None, None])
 
@@ -200,3 +213,156 @@ def test_rings_around_the_light_are_no_material_and_a_texture_is() -> None:
     plain = torch.from_numpy(blotches.astype(np.float32)).expand(6, -1, -1).contiguous()
     before, kept = _flattened(plain), _flattened(plain, points=[mirror])
     assert float((kept - before)[:4].std()) < 0.1 * float(before[:4].std())
+
+
+# Relief is scaled to the contrast of glints.
+
+
+HEIGHT, WIDTH = 192, 256
+
+
+def scene(albedo: float, roughness: float):
+    """Photograph, its light and true residuals of an even surface with relief."""
+    shot = photographed(0.06, 0.0, width=WIDTH, height=HEIGHT)
+    one = torch.ones(1, HEIGHT, WIDTH)
+    maps = replace(
+        shot.maps,
+        diffuse=albedo * one.expand(3, -1, -1),
+        specular=0.04 * one,
+        roughness=roughness * one,
+    )
+    light = shot.light
+    linear = render_flash(maps, shot.uniform.setup, shot.points)
+    return linear / float(linear.quantile(0.99)), light, light.residuals(maps)
+
+
+def factor(albedo: float, roughness: float, strength: float) -> float:
+    """What relief is scaled by where it was predicted `strength` times as strong as it is."""
+    linear, light, truth = scene(albedo, roughness)
+    guess = replace(truth, height=strength * truth.height)
+    noise = torch.full_like(linear, 1e-3)
+    found = scaled_by_glints(guess, linear, linear < 1.0, light, noise)
+    return float(found.height.std() / guess.height.std())
+
+
+@pytest.mark.parametrize("strength", [0.3, 1.0, 1.5])
+def test_relief_gets_the_strength_of_the_glints(strength: float) -> None:
+    assert factor(0.003, 0.5, strength) == pytest.approx(1.0 / strength, rel=0.25)
+
+
+def test_a_matte_photograph_leaves_relief_alone() -> None:
+    assert factor(0.5, 0.9, 0.3) == 1.0
+
+
+def test_a_pattern_under_a_glaze_is_no_relief() -> None:
+    _, light, truth = scene(0.1, 0.3)
+    noise = np.random.default_rng(1).normal(size=(HEIGHT, WIDTH)).astype(np.float32)
+    drawing = torch.from_numpy(cv2.GaussianBlur(noise, (0, 0), 3.0))[None]
+    drawing = drawing / drawing.std()
+    flat = replace(truth, diffuse=truth.diffuse + drawing, height=0.0 * truth.height)
+    maps = light.maps(flat)
+    linear = light.flash.onto(maps.normal).log_radiance(maps)[0].exp()
+    linear = linear / float(linear.quantile(0.99))
+    guess = replace(truth, height=0.03 * truth.height)  # and an albedo that is even
+    scaled = scaled_by_glints(guess, linear, linear < 1.0, light, 1e-3 * torch.ones_like(linear))
+    slope, before = (each.height.diff(dim=2).std() for each in (scaled, guess))
+    assert float(slope) < 1.3 * float(before)
+
+
+# Noise and rounding of channels and sensors are believed little, and move nothing.
+
+
+WHOLE = torch.ones(96, 128, dtype=torch.bool)
+
+
+def _plane(values, noise=None, *, developed=False):
+    linear = torch.tensor(values)[:, None, None].expand(3, 96, 128).clone()
+    plane = plane_of(linear, WHOLE, noise)
+    return type(plane)(plane.linear, plane.valid, plane.noise, plane.encoding, developed=developed)
+
+
+@pytest.mark.parametrize("code", [1.0, 5.0, 40.0, 128.0, 250.0])
+def test_a_code_is_worth_what_the_curve_of_srgb_rises_by(code):
+    encoded = np.array([code - 0.5, code + 0.5]) / 255.0
+    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+    middle = np.array([linear.mean()], np.float32)
+    assert code_step(middle)[0] == pytest.approx(linear[1] - linear[0], rel=0.02)
+
+
+def test_a_channel_of_one_code_is_noise_and_a_bright_one_is_not():
+    noise = channel_noise(_plane((2e-4, 0.05, 0.5), developed=True)).mean((1, 2))
+    assert noise[0] == pytest.approx(1.0, abs=1e-3)
+    assert 0.02 < noise[1] < 0.05
+    assert noise[2] < 0.015
+
+
+def test_numbers_that_were_not_rounded_have_none():
+    assert float(channel_noise(_plane((2e-4, 0.05, 0.5))).max()) == 0.0
+
+
+def test_a_raws_noise_is_its_draws():
+    draw = 0.01 * torch.randn(3, 96, 128, generator=torch.Generator().manual_seed(1))
+    noise = channel_noise(_plane((0.1, 0.2, 0.5), draw)).mean((1, 2))
+    assert noise.tolist() == pytest.approx([0.1, 0.05, 0.02], rel=0.1)
+
+
+def test_channels_alike_weigh_alike_and_all_weights_add_up_to_one():
+    even = channel_weights(torch.full((3, 4, 4), 0.02))
+    torch.testing.assert_close(even, torch.full((3, 4, 4), 1.0 / 3.0))
+    noise = torch.tensor([1.0, 0.01, 0.02])[:, None, None].expand(3, 4, 4)
+    weights = channel_weights(noise)
+    assert float(weights[0].max()) < 0.01
+    torch.testing.assert_close(weights.sum(0), torch.ones(4, 4))
+
+
+def test_a_dark_channel_of_a_saturated_jpeg_hardly_counts():
+    # Yellow cloth 0263: codes 169, 115 and 20, whose fine detail is the same difference of codes.
+    light = srgb_decode(np.array([169.0, 115.0, 20.0]) / 255.0)
+    weights = channel_weights(channel_noise(_plane(tuple(light), developed=True))).mean((1, 2))
+    assert float(weights[2]) < 0.1 and float(weights[1]) > 0.3
+
+
+def test_a_channel_that_is_noise_moves_no_map():
+    shot = photographed(0.1, 0.1, width=192, height=144)
+    light = shot.light
+    truth = light.residuals(shot.maps)
+    errors = ExpectedErrors.from_stacked(torch.log(torch.full((4, 1, 1), 0.2)))
+    draw = torch.Generator().manual_seed(6)
+    linear = shot.linear.clone()
+    linear[0] *= torch.randn(144, 192, generator=draw).exp()
+    noise = torch.tensor([1.0, 0.01, 0.01])[:, None, None].expand(3, 144, 192)
+    valid = torch.ones(144, 192, dtype=torch.bool)
+
+    def moved(said):
+        found = refine_albedo(truth, errors, linear, valid, light, noise=said)
+        return float((found - truth).diffuse[1:].square().mean().sqrt())
+
+    assert moved(noise) < 0.2 * moved(0.01)
+
+
+def _found(shot: Photographed, noise: float) -> MapSet:
+    """Maps of one photograph with so much noise of log radiance, always the same draw."""
+    draw = torch.Generator().manual_seed(4)
+    photographed, another = (
+        shot.linear * noise * torch.randn(shot.linear.shape, generator=draw) for _ in range(2)
+    )
+    linear = (shot.linear + photographed).clamp_min(0.0)
+    plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool), another)
+    rectified = Rectified(None, shot.uniform, plane, (), network_input(plane))
+    found = estimate_exemplar(rectified, load_inverse(), CaptureClock(None))
+    return map_set_of(found.exemplar)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.03])
+def test_twice_the_noise_changes_the_maps_by_no_more_than_itself(noise: float) -> None:
+    shot = photographed(0.15, 0.15, width=256, height=192)
+    once, twice = _found(shot, noise), _found(shot, 2.0 * noise)
+
+    def apart(one: torch.Tensor, other: torch.Tensor) -> float:
+        return float((one - other).square().mean().sqrt()) / noise
+
+    # A twentieth more: under the highlight, albedo is a part of what is seen only.
+    assert 0.0 < apart(once.diffuse.log(), twice.diffuse.log()) < 1.05
+    assert apart(once.specular.log(), twice.specular.log()) < 0.25
+    assert apart(once.roughness, twice.roughness) < 0.25
+    assert apart(once.normal, twice.normal) < 0.5

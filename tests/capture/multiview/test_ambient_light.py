@@ -19,10 +19,10 @@ from simulated.photographs import (
     true_maps_along,
 )
 
-from matcap.brdf.normals import normals_from_slopes
+from matcap.brdf.maps import normals_from_slopes
 from matcap.capture.exemplar.relief_spectrum import slope_spectrum
+from matcap.capture.inspection import coverage
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit, without_ambient
-from matcap.capture.multiview.coverage import coverage
 from matcap.capture.multiview.pair import on_albedo, scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.solve import solve
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
@@ -30,7 +30,10 @@ from matcap.capture.multiview.views import RAW_FALLOFF, SharedLight
 from matcap.capture.pipeline import capture_into, capture_photo
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
-from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.settings import (
+    CaptureSettings,
+    OutputSettings,
+)
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 

@@ -13,9 +13,12 @@ from matcap.capture.exemplar.observation import code_step
 from matcap.capture.inspection import photograph_quality
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.capture.verdict.causes import measure_causes
-from matcap.capture.verdict.exemplar_measurements import ExemplarMeasurements
-from matcap.capture.verdict.highlight import HighlightProfile, highlight_profile
+from matcap.capture.verdict.causes import (
+    ExemplarMeasurements,
+    HighlightProfile,
+    highlight_profile,
+    measure_causes,
+)
 from matcap.capture.verdict.judge import findings, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
@@ -24,8 +27,8 @@ from matcap.capture.verdict.measurements import (
     texture_contrasts,
 )
 from matcap.flash.highlight import Highlight
+from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
-from matcap.flash.render import render_rectified
 from matcap.photo.checks import CAUSES, CHECKS, RESIDUES, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
 

@@ -28,21 +28,27 @@ import numpy as np
 import torch
 from inputs import spoil, write_inputs
 
-from matcap.batch.record import FILE, is_done, read_record
-from matcap.batch.settings import BatchSettings, read_settings
+from matcap.batch.samples import (
+    BatchSettings,
+    read_settings,
+)
+from matcap.batch.work import (
+    FILE,
+    is_done,
+    read_record,
+)
 from matcap.batch.worker_pool import Processes
 from matcap.brdf.folder import read_mapset
 from matcap.errors import MatcapError
 from matcap.field.material import Material
 from matcap.files.environment import read_picture
 from matcap.files.exr import read_exr
-from matcap.files.mask import read_mask
-from matcap.files.note import Note
-from matcap.files.progress import OnProgress
+from matcap.files.names import Note, OnProgress
+from matcap.files.pixels import read_mask
 from matcap.photo.load import load_photo
 from matcap.relight.foreign.read import read_foreign
 from matcap.relight.scenefile import read_scene
-from matcap.relight.surfaces.mesh import load_mesh
+from matcap.relight.surfaces import load_mesh
 
 LONGEST = 10.0  # seconds
 LARGEST = 2 << 30  # bytes

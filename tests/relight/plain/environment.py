@@ -5,9 +5,8 @@ from __future__ import annotations
 import loop_calls
 import numpy as np
 
+from matcap.relight.camera import Array, lattice
 from matcap.relight.environment_map import Environment
-from matcap.relight.vectors import Array
-from matcap.relight.visible_normals import lattice
 from plain.visibility import above_horizon
 from plain.visible_normals import Lobe, Mirrored
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.relight.horizons import steps_of
-from matcap.relight.relief import Relief
-from matcap.relight.vectors import Array
+from matcap.relight.camera import Array
+from matcap.relight.relief import Relief, steps_of
 
 AZIMUTHS = 16
 

@@ -6,7 +6,14 @@ import math
 
 import numpy as np
 
-from matcap.relight.vectors import Array, Vec, add, dot, scale, subtract
+from matcap.relight.camera import (
+    Array,
+    Vec,
+    add,
+    dot,
+    scale,
+    subtract,
+)
 
 
 def ggx_smith(

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcap.relight.camera import (
+    Array,
+    Vec,
+)
 from matcap.relight.relief import Relief
-from matcap.relight.vectors import Array, Vec
 from plain.relief import at
 
 

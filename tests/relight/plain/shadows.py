@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from matcap.relight.camera import (
+    Array,
+    Vec,
+)
 from matcap.relight.relief import Relief
-from matcap.relight.vectors import Array, Vec
 
 # How far above the surface a ray must start, as a share of the relief, against rounding.
 _LIFT = 2e-6

@@ -6,8 +6,11 @@ import math
 
 import numpy as np
 
+from matcap.relight.camera import (
+    Array,
+    Vec,
+)
 from matcap.relight.loops.library import AZIMUTHS
-from matcap.relight.vectors import Array, Vec
 
 
 def above_horizon(tangents: Array, direction: Vec) -> Array:

@@ -8,9 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcap.relight.sampling import SurfaceSample
-from matcap.relight.vectors import Array, Vec, dot, scale
-from matcap.relight.visible_normals import LatticePoint
+from matcap.relight.camera import (
+    Array,
+    LatticePoint,
+    Vec,
+    dot,
+    scale,
+)
+from matcap.relight.texture import SurfaceSample
 from plain.lobes import schlick_weight
 
 

@@ -15,18 +15,23 @@ from matcap.example.example import Example
 from matcap.example.interpolate import interpolated
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-from matcap.files.rec709 import LUMINANCE
+from matcap.files.color import LUMINANCE
 from matcap.space.between import blend
-from matcap.space.decoder import ALIGNMENT, DEPTH, DRAWING_CHANNELS, Decoder, with_drawing
-from matcap.space.drawing import Drawing
-from matcap.space.freeze import reference_field
-from matcap.space.patch import Patch
-from matcap.space.random_field import random_field
+from matcap.space.decoder import (
+    ALIGNMENT,
+    DEPTH,
+    DRAWING_CHANNELS,
+    Decoder,
+    with_drawing,
+)
+from matcap.space.freeze import Drawing, reference_field
+from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.finetune import decode_window
-from matcap.space.tuning.renormalise import Renormalisation
-from matcap.space.tuning.rollback import Adam
-from matcap.space.tuning.teacher import MARGIN, Teacher
+from matcap.space.tuning.finetune import Adam, Renormalisation, decode_window
+from matcap.space.tuning.match import (
+    MARGIN,
+    Teacher,
+)
 
 AREA = Rectangle(-64, 32, 128, 96)
 

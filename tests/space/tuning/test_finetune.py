@@ -1,4 +1,4 @@
-"""Fine-tuning: what it promises of error, time, determinism and going wrong."""
+"""Fine-tuning of a decoder."""
 
 import math
 import time
@@ -8,18 +8,25 @@ from functools import cache
 import pytest
 import torch
 from plain_decoder import decoded
-from tuning import CODE, CONFIG, WINDOW, scene, start, tune
+from tuning import CODE as TUNING_CODE
+from tuning import CODE as TUNING_CODE_function
+from tuning import CONFIG as TUNING_CONFIG
+from tuning import CONFIG as TUNING_CONFIG_function
+from tuning import WINDOW, scene, start, tune
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.flash.render import render_flash
-from matcap.space.decoder import DEPTH, maps_from_raw
-from matcap.space.freeze import fold
-from matcap.space.patch import Patch
-from matcap.space.random_field import random_field
-from matcap.space.tuning.penalty import Penalties, map_penalty
-from matcap.space.tuning.rollback import Optimiser
+from matcap.flash.light import render_flash
+from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw, with_cells
+from matcap.space.freeze import fold, freeze
+from matcap.space.random_field import CELL_CHANNELS, WAVE_CHANNELS, Patch, RandomField, random_field
+from matcap.space.tuning import finetune
+from matcap.space.tuning.finetune import Optimiser, Penalties, map_penalty
+from matcap.space.tuning.match import reading_cells
 from matcap.statistics.compare import Weights, describe, distance
+from matcap.statistics.lattice import Wave
+
+# Fine-tuning: what it promises of error, time, determinism and going wrong.
 
 
 def error_of(decoder, moments=None):
@@ -29,11 +36,13 @@ def error_of(decoder, moments=None):
         for seed in seeds:
             field = random_field(
                 Patch(seed, Rectangle(0, 0, WINDOW, WINDOW), period=(WINDOW, WINDOW)),
-                CONFIG.noise_channels,
+                TUNING_CONFIG.noise_channels,
                 (),
                 levels=DEPTH,
             )
-            maps = maps_from_raw(decoder(field, CODE, moments), seen.texel_size, periodic=True)
+            maps = maps_from_raw(
+                decoder(field, TUNING_CODE, moments), seen.texel_size, periodic=True
+            )
             rendered = render_flash(maps, seen.setup, seen.windows.points)
             found = describe(rendered, seen.encoding, seen.bank)
             total += float(distance(found, seen.windows.target, Weights()).mean())
@@ -58,13 +67,15 @@ def test_the_error_falls_on_new_noise():
 def test_the_returned_decoder_is_the_optimised_one():
     """Frozen statistics belong to the decoder: folded, it is the same network."""
     tuned = tune(steps=80)
-    folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
+    folded = fold(tuned.decoder, TUNING_CODE, tuned.moments, has_waves=False)
     field = random_field(
-        Patch(7, Rectangle(0, 0, 256, 256)), CONFIG.noise_channels, (), levels=DEPTH
+        Patch(7, Rectangle(0, 0, 256, 256)), TUNING_CONFIG.noise_channels, (), levels=DEPTH
     )
     with torch.no_grad():
         one = decoded(folded, field)[..., 96:-96, 96:-96]
-        other = tuned.decoder(field, CODE, list(tuned.moments), periodic=False)[..., 96:-96, 96:-96]
+        other = tuned.decoder(field, TUNING_CODE, list(tuned.moments), periodic=False)[
+            ..., 96:-96, 96:-96
+        ]
     assert torch.allclose(one, other, atol=1e-4)
     # And its frozen error is no worse than with statistics of the window at hand.
     assert error_of(tuned.decoder, list(tuned.moments)) < 1.15 * error_of(tuned.decoder)
@@ -213,3 +224,105 @@ def test_a_coloured_f0_has_the_penalty_of_its_mean(share):
     paid, owed = (map_penalty(m, torch.zeros(5), Penalties(), share) for m in (coloured, grey))
     assert float(paid) == pytest.approx(float(owed), rel=1e-5)
     assert float(paid) > 0.0
+
+
+# The statistics that a fine-tuned decoder is frozen with are those of its own code.
+
+
+@pytest.fixture
+def frozen(monkeypatch):
+    """Codes that were frozen at, in turn; the statistics are the true ones."""
+    codes = []
+
+    def remember(decoder, code, *read):
+        codes.append(code.clone())
+        return freeze(decoder, code, *read)
+
+    monkeypatch.setattr(finetune, "freeze", remember)
+    return codes
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("steps", "report"),
+    [(0, lambda *_: None), (3, lambda *_: None), (20, interrupt)],
+    ids=["no steps", "frozen end", "interrupted before it"],
+)
+def test_what_is_frozen_is_frozen_at_the_code(frozen, steps, report):
+    code = torch.linspace(-1.0, 1.0, len(TUNING_CODE_function))
+    decoder = start()
+    with torch.no_grad():  # an untrained decoder hardly heeds its code
+        for layer in decoder.layers():
+            layer.adain.affine.weight.normal_(0.0, 0.1)
+    asked = finetune.TuneSettings(steps=steps, half_precision=False)
+    tuned = finetune.finetune(decoder, code, scene(), asked, report)
+    assert frozen and all(torch.equal(one, code) for one in frozen)
+    assert len(tuned.moments) == len(decoder.layers())
+    expected = freeze(tuned.decoder, code, ())
+    elsewhere = freeze(tuned.decoder, 0.0 * code, ())
+
+    def apart(moments):
+        pairs = zip(tuned.moments, moments, strict=True)
+        return sum(float((a[1] - b[1]).abs().mean()) for a, b in pairs)
+
+    assert apart(expected) < 0.5 * apart(elsewhere)
+    assert tuned.decoder.config == TUNING_CONFIG_function
+
+
+# A decoder that comes without cells, as the prior's does, learns to read them.
+
+
+CONFIG = DecoderConfig(noise_channels=2, widths=(4, 4, 6, 6, 6))
+WAVES = (Wave(1 / 23.0, 0.0), Wave(0.0, 1 / 19.0))
+CODE = torch.zeros(CODE_SIZE)
+
+
+def a_field():
+    return random_field(
+        Patch(4, Rectangle(0, 0, 64, 64)), 2, WAVES, levels=DEPTH, cells=CELL_CHANNELS
+    )
+
+
+def without_cells(field):
+    return RandomField(field.noise, tuple(w[:, :WAVE_CHANNELS] for w in field.waves))
+
+
+def test_where_cells_say_nothing_it_is_the_decoder_that_it_was():
+    decoder = Decoder(CONFIG)
+    wider = reading_cells(decoder, 0)
+    silent = RandomField(
+        a_field().noise,
+        tuple(
+            torch.cat([w[:, :WAVE_CHANNELS], 0.0 * w[:, WAVE_CHANNELS:]], 1)
+            for w in a_field().waves
+        ),
+    )
+    with torch.no_grad():
+        expected = decoder(without_cells(a_field()), CODE)
+        assert torch.allclose(wider(silent, CODE), expected, atol=1e-4)
+        assert not torch.allclose(wider(a_field(), CODE), expected, atol=0.05)
+
+
+def test_the_weights_for_cells_are_drawn_by_the_seed_and_learn():
+    decoder = Decoder(CONFIG)
+    first, again, other = (reading_cells(decoder, seed).state_dict() for seed in (1, 1, 2))
+    name = "up.0.0.convolution.weight"
+    assert torch.equal(first[name], again[name])
+    assert not torch.equal(first[name], other[name])
+    wider = reading_cells(decoder, 1)
+    wider(a_field(), CODE)[:, 0].square().mean().backward()
+    slope = wider.up[3][0].convolution.weight.grad[:, -CELL_CHANNELS:]
+    assert float(slope.abs().max()) > 0.0
+
+
+def test_the_given_decoders_are_left_as_they_are():
+    decoder, other = Decoder(CONFIG), reading_cells(Decoder(CONFIG), 3)
+    before = {name: value.clone() for name, value in other.state_dict().items()}
+    mixed = with_cells(decoder, other)
+    with torch.no_grad():
+        mixed.head.convolution.weight.add_(1.0)
+    assert all(torch.equal(value, before[name]) for name, value in other.state_dict().items())
+    assert decoder.config.cells == 0

@@ -1,4 +1,4 @@
-"""Matching: a tuned material's mean and contrast are moved to the photograph's."""
+"""Matching to the photograph, and windows of it."""
 
 import copy
 from dataclasses import replace
@@ -7,17 +7,31 @@ import pytest
 import torch
 from simulated.materials import piece
 from simulated.photographs import PhoneCamera, as_photo, take
-from tuning import CODE, SETUP, start
+from tuning import CODE, SETUP, WINDOW, photograph, scene, start, tune
+from uniform import a_setup
+from uniform import photograph as uniform
 
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import CaptureSettings
-from matcap.flash.plane import Plane, plane_of
-from matcap.flash.render import render_rectified
+from matcap.flash.geometry import plane_points
+from matcap.flash.light import render_rectified
+from matcap.flash.rectify import Plane, plane_of, rectify, rectify_noise
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.match import _Blocks, _gain, _shift, correction, match_photograph
-from matcap.space.tuning.windows import shot_deviation
-from matcap.statistics.encoding import fit_encoding, shading
+from matcap.space.tuning.windows import _best_scale, cut_windows, shot_deviation, with_noise
+from matcap.statistics.compare import (
+    FilterBank,
+    FilterBankConfig,
+    Weights,
+    describe,
+    distance,
+    fit_encoding,
+    shading,
+)
+
+# Matching: a tuned material's mean and contrast are moved to the photograph's.
+
 
 WIDTH, HEIGHT = 256, 192
 VALID = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
@@ -199,3 +213,188 @@ def test_corrections_are_bounded_and_finite(truth, picture):
     assert far.shift.abs().max() <= 1.0
     matched = match_photograph(truth, plane_of(picture, VALID))
     assert matched.maps(32, 32).stacked().isfinite().all()
+
+
+# Windows cover the picture and keep their place.
+
+
+BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=4, levels=2))
+CAPTURE_WINDOWS_WIDTH, CAPTURE_WINDOWS_HEIGHT, SIZE = 96, 64, 32
+
+
+def cut(valid=None, *, size=SIZE, width=CAPTURE_WINDOWS_WIDTH, height=CAPTURE_WINDOWS_HEIGHT):
+    """A picture whose brightness tells where it was cut, and its windows."""
+    generator = torch.Generator().manual_seed(0)
+    slope = torch.linspace(0.1, 0.9, width) * torch.linspace(0.5, 1.0, height)[:, None]
+    linear = slope * torch.exp(0.1 * torch.randn(3, height, width, generator=generator))
+    valid = torch.ones(height, width, dtype=torch.bool) if valid is None else valid
+    plane = plane_of(linear, valid)
+    return linear, plane.encoding, cut_windows(plane, BANK, size)
+
+
+def corners(windows, width=CAPTURE_WINDOWS_WIDTH, height=CAPTURE_WINDOWS_HEIGHT):
+    """(column, row) of every window's left top texel, from its plane points."""
+    first = windows.points[:, :2, 0, 0]
+    column = (first[:, 0] + 1.0) * width / 2.0 - 0.5
+    row = height / 2.0 - first[:, 1] * width / 2.0 - 0.5
+    return [(round(x), round(y)) for x, y in zip(column.tolist(), row.tolist(), strict=True)]
+
+
+def test_every_window_has_the_points_and_the_picture_of_its_own_place():
+    linear, encoding, windows = cut()
+    for index, (x, y) in enumerate(corners(windows)):
+        expected = plane_points(
+            x, y, SIZE, SIZE, (CAPTURE_WINDOWS_WIDTH, CAPTURE_WINDOWS_HEIGHT), dtype=torch.float32
+        )
+        assert torch.allclose(windows.points[index], expected, atol=1e-6)
+        here = describe(linear[None, :, y : y + SIZE, x : x + SIZE], encoding, BANK)
+        target = windows.target.select([index])
+        assert torch.equal(target.mean, here.mean)
+        unraised = Weights(gram=0.0, cross=0.0, histogram=0.0)
+        assert float(distance(target, here, unraised)) < 1e-5
+        for kind in ("grams", "crosses", "quantiles"):
+            for raised, plain in zip(getattr(target, kind), getattr(here, kind), strict=True):
+                scale = float((raised * plain).sum() / plain.square().sum())
+                assert 1.0 <= scale <= 1.0 / 0.7 + 1e-6
+                torch.testing.assert_close(raised, scale * plain, atol=1e-5, rtol=1e-4)
+
+
+def test_the_best_scale_is_where_the_distance_is_least():
+    generator = torch.Generator().manual_seed(2)
+    found, target = ((0.5 * torch.randn(6, 5, 5, generator=generator)).exp() for _ in range(2))
+    found[0, 0, 0] = 0.0
+    size = target.abs().flatten(1).mean(dim=1)
+
+    def cost(scale):
+        return float(((scale * found - target).abs().flatten(1).mean(dim=1) / size).mean())
+
+    best = _best_scale(found, target)
+    assert 0.7 <= best <= 1.0
+    assert cost(best) <= min(cost(best * other) for other in (0.97, 0.99, 1.01, 1.03)) + 1e-6
+
+
+def test_raised_targets_lead_to_the_true_contrast():
+    """Draws as scattered as the photograph's windows are nearest to them at their own size."""
+    generator = torch.Generator().manual_seed(4)
+    draws = (0.5 * torch.randn(400, 40, 40, generator=generator)).exp()
+    first, second = torch.arange(0, 200), torch.arange(200, 400)
+    raised = draws[second] / _best_scale(draws[first], draws[second])
+    assert _best_scale(draws[first], draws[second]) < 0.9
+    assert _best_scale(draws[first], raised) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_picture_without_neighbours_is_left_as_it_is():
+    linear, encoding, windows = cut(width=32, height=32)
+    here = describe(linear[None], encoding, BANK)
+    assert float(distance(windows.target, here, Weights())) < 1e-5
+
+
+@pytest.mark.parametrize(("width", "height"), [(96, 64), (97, 33), (32, 32), (200, 40)])
+def test_together_they_cover_the_picture_and_none_reaches_outside(width, height):
+    _, _, windows = cut(width=width, height=height)
+    seen = torch.zeros(height, width, dtype=torch.bool)
+    for x, y in corners(windows, width, height):
+        assert 0 <= x <= width - SIZE and 0 <= y <= height - SIZE
+        seen[y : y + SIZE, x : x + SIZE] = True
+    assert bool(seen.all())
+    assert len(set(corners(windows, width, height))) == windows.count
+
+
+def test_windows_hardly_seen_are_left_out():
+    valid = torch.ones(CAPTURE_WINDOWS_HEIGHT, CAPTURE_WINDOWS_WIDTH, dtype=torch.bool)
+    valid[:, 48:] = False
+    _, _, windows = cut(valid)
+    assert 0 < windows.count < cut()[2].count
+    for x, y in corners(windows):
+        assert valid[y : y + SIZE, x : x + SIZE].float().mean() >= 0.3
+
+
+def test_where_nothing_was_seen_all_windows_stay():
+    _, _, windows = cut(
+        torch.zeros(CAPTURE_WINDOWS_HEIGHT, CAPTURE_WINDOWS_WIDTH, dtype=torch.bool)
+    )
+    assert windows.count == cut()[2].count
+
+
+# Noise is no texture: renderings get it before they are compared with a noisy photograph.
+
+
+SENSOR_NOISE_BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
+
+
+def draw(linear, seed, strength=0.1):
+    """Shot noise."""
+    generator = torch.Generator().manual_seed(seed)
+    return strength * linear.sqrt() * torch.randn(linear.shape, generator=generator)
+
+
+def test_the_truth_is_nearest_when_its_noise_is_drawn_too():
+    clean = photograph()
+    noisy = clean + draw(clean, 1)
+    encoding = fit_encoding(noisy, VALID)
+    windows = cut_windows(Plane(noisy, VALID, draw(clean, 2), encoding), SENSOR_NOISE_BANK, WINDOW)
+    places = [(x, y) for y in (0, 16) for x in (0, 24, 48)]
+    rendered = torch.stack([clean[:, y : y + WINDOW, x : x + WINDOW] for x, y in places])
+    assert windows.noise.shape == rendered.shape
+
+    def apart(pictures):
+        found = describe(pictures, encoding, SENSOR_NOISE_BANK)
+        return float(distance(found, windows.target, Weights()).mean())
+
+    assert apart(with_noise(rendered, windows.noise, 3)) < 0.75 * apart(rendered)
+
+
+def test_what_is_noise_alone_is_not_amplified():
+    """Grey texture with coloured noise: without knowing better, colour is scaled up."""
+    clean = photograph().mean(dim=0, keepdim=True).expand(3, -1, -1)
+    noisy = clean + draw(clean, 1, 0.2)
+    both = [fit_encoding(noisy, VALID), fit_encoding(noisy, VALID, draw(clean, 2, 0.2))]
+    colour, grey = torch.tensor([1.0, -1.0, 0.0]), torch.ones(3)
+    amplified = [
+        float((each.matrix @ colour).norm() / (each.matrix @ grey).norm()) for each in both
+    ]
+    assert amplified[1] < 0.6 * amplified[0]
+
+
+def test_no_noise_changes_nothing_and_all_noise_does_no_harm():
+    linear = photograph()
+    plain = fit_encoding(linear, VALID)
+    none = fit_encoding(linear, VALID, torch.zeros_like(linear))
+    torch.testing.assert_close(plain.matrix, none.matrix)
+    flat = torch.full_like(linear, 0.3)
+    only = fit_encoding(flat + draw(flat, 1, 0.05), VALID, draw(flat, 2, 0.08))
+    assert bool(torch.isfinite(only.matrix).all())
+
+
+def test_noise_is_moved_and_follows_the_light():
+    rendered = photograph()[None, :, :WINDOW, :WINDOW]
+    share = torch.randn(rendered.shape, generator=torch.Generator().manual_seed(0))
+    first, second = (with_noise(rendered, share, step) for step in (1, 2))
+    assert not torch.equal(first, second)
+    assert torch.equal(first, with_noise(rendered, share, 1))
+    added = (first - rendered) / shot_deviation(rendered)
+    torch.testing.assert_close(
+        added.abs().flatten(2).sort().values,
+        share.abs().flatten(2).sort().values,
+        atol=1e-4,
+        rtol=1e-4,
+    )
+
+
+def test_noise_is_rectified_as_the_picture_is():
+    setup = a_setup(tilt=(0.15, -0.1))
+    photo = uniform(setup)
+    assert rectify_noise(photo, setup, 96) is None
+    both = replace(photo, noise=photo.pixels - 0.01)
+    linear, valid = rectify(both, setup, 96)
+    noise = rectify_noise(both, setup, 96)
+    torch.testing.assert_close(noise[:, valid], linear[:, valid] - 0.01, atol=1e-5, rtol=0.0)
+
+
+def test_tuning_takes_the_noise_and_stays_the_same_every_time():
+    seen = scene()
+    noise = torch.randn(seen.windows.points.shape, generator=torch.Generator().manual_seed(0))
+    noisy = replace(seen, windows=replace(seen.windows, noise=0.05 * noise))
+    first, again, without = (tune(steps=4, seen=one).history for one in (noisy, noisy, seen))
+    assert [one[2] for one in first] == [one[2] for one in again]
+    assert [one[2] for one in first] != [one[2] for one in without]

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf import metals
+from matcap.brdf import cook_torrance as metals
 from matcap_lab.simulate.kinds.surface import (
     SurfaceFields,
     SurfaceFunction,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
-from matcap.flash.render import render_rectified
+from matcap.flash.light import render_rectified
 
 Pixels = NDArray[np.float32]
 # (width, height, seed) to a picture (height, width, 3).

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
-from matcap.files.values import Rectangle
+from matcap.files.settings import Rectangle
 from matcap.photo.left_out import leave_out
 from stable.photographs import FOV, HARD_PHOTOGRAPHS, Pixels, textured
 

@@ -12,13 +12,23 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.export.formats import Container, Depth
 from matcap.export.job import ExportJob
-from matcap.export.metallic import SURE_METAL, MetallicAim, to_metallic
+from matcap.export.occlusion import (
+    Container,
+    Depth,
+)
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
 from matcap.export.texture_file import TextureFile
-from matcap.files.exr import LARGEST_HALF, read_exr
-from matcap.files.srgb import srgb_decode
+from matcap.export.workflows import (
+    SURE_METAL,
+    MetallicAim,
+    to_metallic,
+)
+from matcap.files.color import srgb_decode
+from matcap.files.exr import (
+    LARGEST_HALF,
+    read_exr,
+)
 from stable.edges.swept import Swept, compared, log_uniform
 
 _TEXELS = 10_000

@@ -8,11 +8,14 @@ import loop_calls
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.relight.effects import parallax
+from matcap.relight.camera import Vec
+from matcap.relight.effects import relief as parallax
 from matcap.relight.relief import Relief
-from matcap.relight.sampling import Sampler
-from matcap.relight.texture import Texture, alpha_of
-from matcap.relight.vectors import Vec
+from matcap.relight.texture import (
+    Sampler,
+    Texture,
+    alpha_of,
+)
 from stable.edges.swept import Swept, compared, log_uniform
 
 Values = NDArray[np.float64]

@@ -27,7 +27,7 @@ from matcap.relight.scene import (
     Surface,
     Vector,
 )
-from matcap.relight.surfaces.mesh import load_mesh
+from matcap.relight.surfaces import load_mesh
 from stable.edges.swept import Swept, compared, log_uniform
 
 Values = NDArray[np.float64]

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import cook_torrance
 from matcap.files.exr import write_exr
-from matcap.relight.camera import view_of
+from matcap.relight.camera import dot, view_of
 from matcap.relight.effects import multiscatter
+from matcap.relight.environment_map import albedo
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
@@ -29,9 +30,10 @@ from matcap.relight.scene import (
     SphereLight,
     Surface,
 )
-from matcap.relight.tables import albedo
-from matcap.relight.texture import Texture, alpha_of
-from matcap.relight.vectors import dot
+from matcap.relight.texture import (
+    Texture,
+    alpha_of,
+)
 from stable.edges.swept import Swept, compared, log_uniform
 from stable.reflectance import CASES, SMOOTH
 

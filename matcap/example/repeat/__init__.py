@@ -1,1 +1,0 @@
-"""Seamless tile from the exemplar itself: flattened, straightened, cut along minimal seams."""

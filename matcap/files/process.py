@@ -1,0 +1,388 @@
+"""The process: Ctrl-C, memory, silenced decoders, compiled loops, a Dask cluster."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stderr
+from importlib import import_module
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from matcap.errors import MatcapError
+
+# Handling of Ctrl-C and SIGTERM: both raise KeyboardInterrupt, but not inside atomic steps.
+
+
+_BOTH = (signal.SIGINT, signal.SIGTERM)
+
+
+def raise_on_signals() -> Callable[[], bool]:
+    """Make both signals raise KeyboardInterrupt in the main thread, for the whole process.
+
+    Returns:
+        A function that returns whether a signal has arrived.
+    """
+    came: list[int] = []
+
+    def raised(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        if _importing("torch"):  # whose C++ aborts at an exception: again when it is done
+            again = threading.Timer(0.05, os.kill, (os.getpid(), number))
+            again.daemon = True
+            again.start()
+        else:
+            signal.default_int_handler(number, frame)
+
+    for which in _BOTH:
+        if signal.getsignal(which) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(which, raised)
+    return lambda: bool(came)
+
+
+def _importing(name: str) -> bool:
+    """Whether a module's import has begun and not ended."""
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    return getattr(spec, "_initializing", False)
+
+
+def ignore_signals() -> None:
+    """Ignore both signals from now on, in a process that is about to end."""
+    for which in _BOTH:
+        signal.signal(which, signal.SIG_IGN)
+
+
+@contextmanager
+def postponed() -> Iterator[Callable[[], bool]]:
+    """Context in which neither signal interrupts, for a few seconds of work that must be complete.
+
+    Yields a function that returns whether a signal has arrived. Signals interrupt the main thread
+    only; in other threads the context does nothing.
+    """
+    came: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    before = {which: signal.getsignal(which) for which in _BOTH}
+    for which in _BOTH:
+        if before[which] is not signal.SIG_IGN:
+            signal.signal(which, lambda number, frame: came.append(number))
+    try:
+        yield lambda: bool(came)
+    finally:
+        for which, handler in before.items():
+            signal.signal(which, handler or signal.SIG_DFL)
+
+
+@contextmanager
+def starting_children() -> Iterator[None]:
+    """Context for starting processes, which inherit blocked signals until settle_child()."""
+    with postponed() as came:
+        signal.pthread_sigmask(signal.SIG_BLOCK, _BOTH)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _BOTH)
+    if came():
+        raise KeyboardInterrupt
+
+
+def settle_child() -> None:
+    """Set up a worker process: ignore Ctrl-C, which the main process handles.
+
+    It ends silently at SIGTERM, which process pools send, and with its parent, however that ends.
+    """
+    from multiprocessing import parent_process
+
+    def follow() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _BOTH)
+
+
+# Suppresses the messages that decoders print to the terminal.
+#
+# LibRaw and libpng print errors to file descriptor 2, tifffile and exifread log them; the same
+# errors are raised as exceptions. Output of this process to sys.stderr, such as progress, is not
+# suppressed.
+
+
+_CHATTY = ("tifffile", "exifread")
+
+
+class _Silence:
+    """Redirection of descriptor 2, shared by all threads: begun by the first, ended by the last.
+
+    If each thread saved and restored it, an overlap could leave it redirected.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._undo = ExitStack()
+
+    def enter(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._begin(self._undo)
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._undo.close()
+
+    @staticmethod
+    def _begin(undo: ExitStack) -> None:
+        for name in _CHATTY:
+            logger, handler = logging.getLogger(name), logging.NullHandler()
+            logger.addHandler(handler)  # without any, warnings are printed
+            undo.callback(logger.removeHandler, handler)
+        try:
+            kept = os.dup(2)
+        except OSError:  # a process without stderr, such as a service
+            return
+        undo.callback(os.close, kept)
+        undo.callback(os.dup2, kept, 2)
+        if _is_descriptor_2(sys.stderr):
+            own = undo.enter_context(
+                os.fdopen(kept, "w", buffering=1, closefd=False, errors="replace")
+            )
+            undo.enter_context(redirect_stderr(own))
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 2)
+        os.close(nowhere)
+
+
+def _is_descriptor_2(stream: object) -> bool:
+    try:
+        return stream.fileno() == 2  # type: ignore[attr-defined]
+    except (AttributeError, OSError, ValueError):
+        return False
+
+
+_silence = _Silence()
+
+
+@contextmanager
+def quiet_decoders() -> Iterator[None]:
+    """Context in which messages of decoders are suppressed, in all threads."""
+    _silence.enter()
+    try:
+        yield
+    finally:
+        _silence.leave()
+
+
+# Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection.
+
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def free_bytes() -> int:
+    """Available memory in bytes, of the machine or of the control group, whichever is less."""
+    free = []
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                free.append(int(line.split()[1]) * 1024)
+        group = Path("/sys/fs/cgroup")
+        most = (group / "memory.max").read_text().strip()
+        if most != "max":
+            free.append(int(most) - int((group / "memory.current").read_text()))
+    except (OSError, ValueError, IndexError):
+        pass
+    if not free:
+        free.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2)
+    return max(0, min(free))
+
+
+def check_memory(need: int, where: str, remedy: str) -> None:
+    """Check that memory suffices before work begins.
+
+    Args:
+        need: bytes that the work takes at least.
+        where: the option that the error names.
+
+    Raises:
+        MatcapError: less memory is free.
+    """
+    free = free_bytes()
+    if need > free:
+        raise MatcapError.at(
+            where,
+            f"this takes {need / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free",
+            remedy,
+        )
+
+
+def keep_memory() -> None:
+    """Make glibc reuse large buffers instead of returning them to the system.
+
+    Affects the whole process, and threads that are started later. No-op without glibc. Cycles of
+    objects are collected less often: importing PyTorch makes a million objects and no garbage.
+    """
+    gc.set_threshold(50_000)
+    library: Any = ctypes.CDLL(None)
+    if hasattr(library, "mallopt"):
+        library.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
+        library.mallopt(_M_TRIM_THRESHOLD, 1 << 30)
+        # Heaps of single threads are limited to 64 MB, so that they would not keep larger buffers.
+        library.mallopt(_M_ARENA_MAX, 1)
+
+
+# Loads compiled loops from the folders of their sources.
+
+
+def find_library(folder: Path, form: tuple[str, int]) -> Any | None:  # noqa: ANN401
+    """Load the library of a folder; None if it is missing or of another interface version.
+
+    Args:
+        folder: with kernel.c and the library built from it.
+        form: name of the function that returns the interface version, and the expected version.
+    """
+    name, expected = form
+    for suffix in EXTENSION_SUFFIXES:
+        path = folder / f"kernel{suffix}"
+        if path.is_file():
+            try:
+                library = ctypes.CDLL(str(path))
+                if getattr(library, name)() == expected:
+                    return library
+            except (OSError, AttributeError):
+                continue
+    return None
+
+
+def not_built(what: str) -> MatcapError:
+    """The error for a missing library."""
+    return MatcapError(
+        f"the compiled loops of {what} were not built when matcap was installed",
+        remedy="install a C compiler (gcc, clang or MSVC) and then matcap again",
+    )
+
+
+# Access to a dask.distributed cluster (extra `cluster`); no other module imports Dask.
+#
+# Submitted functions are pure: those of a lost worker are repeated by another, with the same bits
+# if all machines are of one kind and run the same build.
+
+
+_PATIENCE = 10  # seconds for the scheduler to answer
+_WORKERS_WITHIN = 60  # seconds for a first worker to come
+
+
+class Cluster:
+    """The workers of a scheduler; a context manager.
+
+    Args:
+        scheduler: address, such as tcp://host:8786.
+        worker: command that starts a worker, for error messages.
+
+    Raises:
+        MatcapError: Dask is not installed, the scheduler does not answer, or it has no worker.
+    """
+
+    def __init__(self, scheduler: str, worker: str = "dask worker") -> None:
+        try:
+            distributed: Any = import_module("distributed")
+        except ImportError as error:
+            raise MatcapError(
+                "clusters need dask.distributed", remedy='run: pip install "matcap[cluster]"'
+            ) from error
+        try:
+            client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise MatcapError.at(
+                scheduler,
+                "no dask scheduler answers there",
+                f"start one with `dask scheduler`, and workers with `{worker}`",
+            ) from error
+        try:
+            client.wait_for_workers(1, timeout=_WORKERS_WITHIN)
+        except TimeoutError as error:
+            client.close()
+            raise MatcapError.at(
+                scheduler, "the dask scheduler has no workers", f"start some with `{worker}`"
+            ) from error
+        self._client = client
+
+    @property
+    def threads(self) -> int:
+        """Number of threads of all workers."""
+        return max(1, sum(self._client.nthreads().values()))
+
+    def shared(self, value: object) -> object:
+        """Send a value to every worker; return a handle to pass to submit()."""
+        return self._client.scatter(value, broadcast=True, hash=False)
+
+    def submit(self, function: Callable[..., Any], *arguments: object) -> RemoteResult:
+        """Call a module-level function on a worker."""
+        return RemoteResult(self._client.submit(function, *arguments, pure=False))
+
+    def close(self) -> None:
+        """Disconnect from the scheduler."""
+        self._client.close()
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class RemoteResult:
+    """Future of a function that was submitted to a cluster."""
+
+    def __init__(self, future: Any) -> None:  # noqa: ANN401
+        self._future = future
+
+    def done(self) -> bool:
+        """Whether it has finished or failed."""
+        return bool(self._future.done())
+
+    def result(self) -> Any:  # noqa: ANN401
+        """Wait for the value.
+
+        Raises:
+            MatcapError: raised by the function.
+            WorkerLost: the cluster failed.
+        """
+        try:
+            return self._future.result()
+        except MatcapError:
+            raise
+        except Exception as error:
+            raise WorkerLost(
+                f"the cluster could not compute a part ({error})",
+                remedy="look at its workers, and go on with --resume",
+            ) from error
+
+    def cancel(self) -> None:
+        """Cancel it, even if it has started."""
+        self._future.cancel(force=True)
+
+
+class WorkerLost(MatcapError):
+    """A worker died; finished work is kept, and the run can be resumed."""

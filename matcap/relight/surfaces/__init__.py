@@ -1,1 +1,0 @@
-"""Surfaces a material is mapped onto: ray intersections and texture coordinates."""

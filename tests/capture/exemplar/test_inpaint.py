@@ -1,0 +1,329 @@
+"""Inpainting under the highlight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from photographed import SETUP, Photographed, photographed
+
+from matcap.capture.exemplar.inpaint import composed, inpainted, remaining_highlight, transport
+from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.exemplar.observation import Observation
+from matcap.capture.exemplar.predict import exemplar_of, predict_maps
+from matcap.capture.exemplar.refine import refine_maps
+from matcap.example.exemplar import Exemplar
+from matcap.flash.light import render_flash
+from matcap.flash.rectify import plane_of
+
+# Rings of albedo around the mirror point.
+
+
+HEIGHT, WIDTH = 384, 512
+MIRROR = (230.0, 180.0)
+KNOWN = np.ones((HEIGHT, WIDTH), np.bool_)
+
+
+def texture(seed: int, grain: float = 3.0, contrast: float = 0.3) -> np.ndarray:
+    noise = np.random.default_rng(seed).standard_normal((HEIGHT, WIDTH)).astype(np.float32)
+    blurred = cv2.GaussianBlur(noise, (0, 0), grain)
+    return np.exp(contrast * blurred / blurred.std() - 1.5)[None].repeat(3, 0).clip(0.0, 1.0)
+
+
+def away(mirror: tuple[float, float]) -> np.ndarray:
+    rows, columns = np.indices((HEIGHT, WIDTH))
+    return np.hypot(columns - mirror[0], rows - mirror[1]).astype(np.float32)
+
+
+@pytest.mark.parametrize("radius", [16.0, 40.0])
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+def test_a_disc_is_found_whole_and_little_more(radius, gain):
+    disc = away(MIRROR) < radius
+    found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, away(MIRROR))
+    assert found[disc].all()
+    assert away(MIRROR)[found].max() < radius + 24.0
+
+
+def test_a_ring_is_found_with_what_it_surrounds_if_it_is_near():
+    for radius, near in ((12.0, True), (60.0, False)):
+        ring = np.abs(away(MIRROR) - radius) < 6.0
+        found = remaining_highlight(texture(1) * np.where(ring, 2.0, 1.0), KNOWN, away(MIRROR))
+        assert found[away(MIRROR) < radius].all() if near else not found.any()
+
+
+@pytest.mark.parametrize("grain", [1.0, 3.0, 12.0])
+def test_a_texture_has_none(grain):
+    rng = np.random.default_rng(5)
+    hits = 0
+    for seed in range(20):
+        mirror = (float(rng.uniform(150, 360)), float(rng.uniform(120, 260)))
+        hits += bool(remaining_highlight(texture(seed, grain), KNOWN, away(mirror)).any())
+    assert hits <= 2
+
+
+def test_a_spot_elsewhere_is_the_materials():
+    spot = away((400.0, 100.0)) < 20.0
+    found = remaining_highlight(texture(2) * np.where(spot, 2.0, 1.0), KNOWN, away(MIRROR))
+    assert not found.any()
+
+
+@pytest.mark.parametrize("off", [(30.0, 0.0), (-12.0, 24.0)])
+def test_a_narrow_core_is_found_off_the_fitted_mirror_point(off):
+    core = away((MIRROR[0] + off[0], MIRROR[1] + off[1])) < 10.0
+    found = remaining_highlight(texture(8) * np.where(core, 2.5, 1.0), KNOWN, away(MIRROR))
+    assert found[core].all()
+    assert found.sum() < 9 * core.sum()
+
+
+def test_a_spot_like_others_of_the_material_is_none():
+    albedo = texture(9)
+    for x in range(20, WIDTH, 64):
+        for y in range(20, HEIGHT, 64):
+            albedo[:, away((float(x), float(y))) < 10.0] = 0.9
+    assert not remaining_highlight(albedo, KNOWN, away(MIRROR)).any()
+
+
+def test_what_is_not_known_is_no_evidence():
+    disc = away(MIRROR) < 16.0
+    found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, away(MIRROR))
+    assert not found.any()
+
+
+def test_a_halo_is_found_around_a_clipped_core():
+    halo = (away(MIRROR) > 24.0) & (away(MIRROR) < 48.0)
+    albedo = texture(6) * np.where(halo, 1.6, 1.0)
+    albedo[:, away(MIRROR) < 28.0] = 0.5
+    found = remaining_highlight(albedo, KNOWN, away(MIRROR))
+    assert found[away(MIRROR) < 44.0].all()
+
+
+def test_shading_across_the_picture_does_not_hide_a_halo():
+    halo = (away(MIRROR) > 8.0) & (away(MIRROR) < 40.0)
+    albedo = texture(7, contrast=0.1) * np.where(halo, 0.85, 1.0)
+    shaded = albedo * np.exp(np.linspace(-0.6, 0.6, WIDTH, dtype=np.float32))
+    assert remaining_highlight(shaded, KNOWN, away(MIRROR))[halo].all()
+
+
+def test_a_mirror_point_outside_of_the_picture_is_none():
+    assert not remaining_highlight(texture(4), KNOWN, away((-300.0, 900.0))).any()
+
+
+def test_a_spot_in_albedo_is_inpainted():
+    shot = photographed(0.15, 0.15, width=512, height=384)
+    plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
+    observed, prediction = predict_maps(Observation.of(plane, shot.uniform), load_inverse())
+    prediction = refine_maps(observed, prediction)
+    residuals = prediction.residuals
+    disc = (observed.from_mirror_point / plane.texel_size).numpy() < 20.0
+    white = residuals.diffuse + 0.8 * torch.from_numpy(disc)
+    spotted = replace(prediction, residuals=replace(residuals, diffuse=white))
+    plain, found = (
+        inpainted(exemplar_of(observed, each), observed).diffuse for each in (prediction, spotted)
+    )
+    inside = np.log(found[:, disc]).mean() - np.log(found[:, ~disc]).mean()
+    before = np.log(plain[:, disc]).mean() - np.log(plain[:, ~disc]).mean()
+    assert abs(inside - before) < 0.3
+
+
+# What glare hides is lent by places that look like it.
+
+
+HOLE = (slice(100, 220), slice(180, 330))
+
+
+def _hidden(shot: Photographed, confidence: float = 1e-3) -> Exemplar:
+    """Maps whose albedo is told nothing of inside the hole: flat and pale there."""
+    maps = shot.maps
+    trusted = np.ones((4, *maps.height.shape[-2:]), np.float32)
+    trusted[:, *HOLE] = confidence
+    albedo = maps.diffuse.clamp(0.0, 0.95).numpy().copy()
+    albedo[:, *HOLE] = 0.8
+    return Exemplar(
+        albedo, maps.specular.numpy(), maps.roughness.numpy(), maps.height.numpy(), trusted,
+        maps.texel_size,
+    )  # fmt: skip
+
+
+def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) -> Exemplar:
+    """Inpainted; the photograph is clipped in a hole, if any."""
+    valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
+    if hole:
+        valid[hole] = False
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
+
+
+def _likeness(found: Exemplar, shot: Photographed) -> float:
+    """Correlation of log albedo with the truth inside the hole."""
+    truth = shot.maps.diffuse.log().numpy()[:, *HOLE]
+    drawn = np.log(found.diffuse.clip(1e-3))[:, *HOLE]
+    return float(np.corrcoef(truth.ravel(), drawn.ravel())[0, 1])
+
+
+@pytest.fixture(scope="module")
+def shot() -> Photographed:
+    """A material of spots, some of them in every block."""
+    shot = photographed(0.1, 0.0)
+    y, x = np.mgrid[0:384, 0:512]
+    spots = np.sin(x * 2 * np.pi / 21) * np.sin(y * 2 * np.pi / 21)
+    tone = torch.from_numpy(0.5 * spots.astype(np.float32))
+    maps = replace(shot.maps, diffuse=shot.maps.diffuse * tone.exp())
+    return replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+
+
+def test_a_hole_looks_like_the_rest(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    whole = _lent(shot, exemplar, HOLE)
+    hole = np.log(whole.diffuse)[:, *HOLE]
+    truth = shot.maps.diffuse.log().numpy()[:, *HOLE]
+    assert np.abs(hole.mean((1, 2)) - truth.mean((1, 2))).max() < 0.2
+    assert hole.std() == pytest.approx(truth.std(), rel=0.2)
+    # Slow relief stays, and what is lent has slopes like the rest.
+    steep = [np.gradient(e.height[0][HOLE], axis=1).std() for e in (exemplar, whole)]
+    assert steep[1] == pytest.approx(steep[0], rel=0.2)
+    assert np.array_equal(whole.confidence, exemplar.confidence)
+
+
+def test_what_is_far_from_the_hole_is_untouched(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    whole = _lent(shot, exemplar)
+    for name in ("diffuse", "specular", "roughness", "height"):
+        before, after = getattr(exemplar, name), getattr(whole, name)
+        assert np.array_equal(before[:, :70], after[:, :70]), name
+
+
+def test_the_drawing_is_what_the_photograph_shows_there(
+    shot: Photographed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the picture to go by, the truth's own drawing comes back; by chance it does not."""
+    y, x = np.mgrid[0:384, 0:512]
+    along = np.where((x // 48 + y // 48) % 2, x, y)
+    tone = torch.from_numpy(0.4 * np.sin(along * 2 * np.pi / 16).astype(np.float32))
+    maps = replace(shot.maps, diffuse=0.2 * tone.exp().expand(3, -1, -1))
+    shot = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+    exemplar = _hidden(shot)
+    likeness = _likeness(_lent(shot, exemplar), shot)
+    monkeypatch.setattr("matcap.capture.exemplar.inpaint._PHOTOGRAPH_WEIGHT", 0.0)
+    assert likeness > max(0.7, _likeness(_lent(shot, exemplar), shot) + 0.1)
+
+
+def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
+    """A scratch that continues through the highlight is kept."""
+    albedo = shot.maps.diffuse.clone()
+    albedo[:, 100:220, 250:262] *= 4.0
+    maps = replace(shot.maps, diffuse=albedo)
+    scratched = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+    exemplar = replace(_hidden(scratched), diffuse=albedo.clamp(0.0, 0.95).numpy())
+    whole = _lent(scratched, exemplar)
+    inside = (slice(None), slice(120, 200), slice(250, 262))
+    assert whole.diffuse[inside].mean() == pytest.approx(exemplar.diffuse[inside].mean(), rel=0.05)
+
+
+def test_a_drawing_that_never_comes_again_is_lent_all_the_same(shot: Photographed) -> None:
+    """No two places of bumps are alike; glare over them must not stay a pale disc for that."""
+    bumpy = photographed(0.1, 0.3)
+    exemplar = _hidden(bumpy)
+    hole = np.log(_lent(bumpy, exemplar).diffuse)[:, 120:200, 210:300]
+    truth = bumpy.maps.diffuse.log().numpy()
+    assert hole.std((1, 2)).mean() == pytest.approx(truth.std((1, 2)).mean(), rel=0.3)
+
+
+def test_it_is_the_same_every_time(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    first, again = (_lent(shot, exemplar) for _ in range(2))
+    assert np.array_equal(first.stacked(), again.stacked())
+
+
+def test_nothing_is_lent_where_nothing_hides_or_nobody_can(shot: Photographed) -> None:
+    exemplar = _hidden(shot)
+    trusted = replace(exemplar, confidence=np.ones_like(exemplar.confidence))
+    assert _lent(shot, trusted) is trusted
+    specks = exemplar.confidence.copy()
+    specks[:, ::4, ::4] = 0.0
+    scattered = replace(exemplar, confidence=specks)
+    assert _lent(shot, scattered) is scattered
+    small = photographed(0.1, 0.5, width=40, height=30)
+    tiny = Exemplar(
+        small.maps.diffuse.clamp(0.0, 0.95).numpy(), small.maps.specular.numpy(),
+        small.maps.roughness.numpy(), small.maps.height.numpy(),
+        np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0), small.maps.texel_size,
+    )  # fmt: skip
+    assert _lent(small, tiny) is tiny
+
+
+def test_a_coloured_specular_albedo_is_copied_as_the_field_reads_it(shot: Photographed) -> None:
+    """The field's kernel takes planes of one block of memory each."""
+    exemplar = _hidden(shot)
+    coloured = replace(exemplar, specular=np.repeat(exemplar.specular, 3, axis=0))
+    maps = _lent(shot, coloured)
+    assert maps.specular.shape[0] == 3
+    for name in ("diffuse", "specular", "roughness", "height"):
+        assert getattr(maps, name).flags.c_contiguous, name
+
+
+def test_a_wrong_slope_of_the_highlight_is_no_scratch(shot: Photographed) -> None:
+    """An error of the fitted highlight, quadratic in place, neither keeps nor changes a drawing."""
+    exemplar = _hidden(shot)
+    y, x = torch.meshgrid(torch.linspace(-4, 4, 384), torch.linspace(-5, 5, 512), indexing="ij")
+    brighter = replace(shot, linear=shot.linear * (0.3 * x + 0.2 * y - 0.1 * x * y).exp())
+    assert _likeness(_lent(brighter, exemplar), shot) > 0.7
+
+
+# Copied texels meet without steps, and keep what they draw.
+
+
+SIZE = 64
+FREE = np.zeros((SIZE, SIZE), bool)
+FREE[24:40, 24:40] = True
+
+
+def copied_from(rows, columns):
+    """Every free texel is of the one so many rows and columns away."""
+    source = np.indices((SIZE, SIZE))
+    source[:, FREE] += np.array([rows, columns])[:, None]
+    return source
+
+
+def test_what_is_moved_to_where_it_continues_is_exact():
+    """A period away all is the same."""
+    y, x = np.mgrid[:SIZE, :SIZE].astype(np.float32)
+    maps = np.stack([np.sin(2 * np.pi * x / 16), np.cos(2 * np.pi * (x + y) / 16)])
+    torn = np.where(FREE, 9.0, maps)
+    result = composed(torn.astype(np.float32), copied_from(-16, 0), FREE, 20.0)
+    assert result == pytest.approx(maps, abs=1e-4)
+
+
+def test_a_drift_leaves_no_step_and_no_change_of_what_is_drawn():
+    rng = np.random.default_rng(1)
+    drawn = rng.normal(0.0, 0.1, (1, SIZE, SIZE))
+    maps = (drawn + np.linspace(0.0, 3.0, SIZE)[None, None]).astype(np.float32)
+    source = copied_from(0, 20)
+    plain = maps[:, source[0], source[1]]
+    blended = composed(maps, source, FREE, 20.0)
+
+    def step(picture):
+        edge = np.abs(picture[0, 24:40, 24] - picture[0, 24:40, 23]).mean()
+        return edge / np.abs(np.diff(maps[0], axis=1)).mean()
+
+    assert step(plain) > 4.0 and step(blended) < 1.5
+    inside = (0, slice(26, 38), slice(26, 38))
+    kept = np.corrcoef(np.diff(plain[inside]).ravel(), np.diff(blended[inside]).ravel())[0, 1]
+    assert kept > 0.98
+    assert np.array_equal(blended[:, ~FREE], maps[:, ~FREE])
+
+
+def test_far_from_a_seam_the_source_decides():
+    """`reach` texels away most of a step is forgotten, and several of them away all of it."""
+    maps = np.zeros((1, SIZE, SIZE), np.float32)
+    maps[:, :, :8] = 1.0
+    source = copied_from(0, 0)
+    source[1][FREE] = 2
+    middle = composed(maps, source, FREE, 1.5)[0, 32, 32]
+    assert middle == pytest.approx(1.0, abs=0.02)
+
+
+def test_nothing_free_is_the_same_object():
+    maps = np.ones((2, SIZE, SIZE), np.float32)
+    assert composed(maps, copied_from(0, 0), np.zeros_like(FREE), 10.0) is maps

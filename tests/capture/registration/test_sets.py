@@ -1,0 +1,139 @@
+"""Registration of sets of photographs."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from simulated.materials import piece
+from simulated.photographs import Hand, PhoneCamera, as_photo, hold, take, true_maps
+
+from matcap.capture.registration.keypoints import is_periodic
+from matcap.capture.registration.register import flash_first, register, without_flash
+from matcap.errors import MatcapError
+from matcap.flash.geometry import FlashSetup
+from matcap.photo.photo import Photo
+
+# Photographs taken without the flash among flash photographs.
+
+
+CAMERA = PhoneCamera(width=320, height=240, supersampling=1)
+
+
+@pytest.fixture(scope="module", params=["granite", "plaster", "leather"])
+def pair(request):
+    """A flash photograph, and its albedo under the light of a window."""
+    sample = piece(request.param)
+    setup = FlashSetup(offset=(0.1, 0.05, 0.0), tilt=(0.02, -0.02))
+    flash = as_photo(take(sample, CAMERA, setup), 1, "flash")
+    albedo = true_maps(sample, CAMERA).diffuse.numpy().transpose(1, 2, 0)
+    window = np.linspace(0.9, 1.1, CAMERA.width)[None, :, None]
+    pixels = np.ascontiguousarray((0.8 * albedo * window).clip(0.0, 1.0), np.float32)
+    return flash, replace(flash, pixels=pixels, clipped=pixels.max(-1) >= 1.0, name="ambient")
+
+
+def test_what_the_file_says_counts(pair):
+    flash, ambient = pair
+    result = without_flash([flash, flash, replace(ambient, flash_fired=False)])
+    assert list(result) == [2] and "did not fire" in result[2]
+    assert without_flash([flash, flash]) == {}
+    # That a flash fired is believed, however little of it shows.
+    assert without_flash([flash, replace(ambient, flash_fired=True)]) == {}
+
+
+def test_light_tells_where_the_file_does_not(pair):
+    flash, ambient = (replace(photo, flash_fired=None) for photo in pair)
+    result = without_flash([flash, ambient, flash])
+    assert list(result) == [1] and "shows no flash" in result[1]
+
+
+def test_where_no_flash_shows_at_all_none_is_named(pair):
+    unsaid = replace(pair[1], flash_fired=None)
+    assert without_flash([unsaid, unsaid]) == {}
+    never = replace(pair[0], flash_fired=False)
+    assert without_flash([never, never]) == {}
+
+
+@pytest.mark.parametrize("pair", ["plaster"], indirect=True)
+def test_it_comes_last_and_gives_no_frame(pair):
+    flash, ambient = pair[0], replace(pair[1], flash_fired=False)
+    assert flash_first([ambient, flash, flash]) == [flash, flash, ambient]
+    setup = FlashSetup(fov=CAMERA.fov)
+    found = register([flash, flash, ambient, replace(ambient, name="again")], setup)
+    assert [view.flash for view in found.views] == [True, True, False]
+    (worse,) = found.left_out
+    assert "did not fire" in worse.why and "shows the ambient light better" in worse.why
+    with pytest.raises(MatcapError, match="with flash first"):
+        register([ambient, flash], setup)
+
+
+# Periodic weaves, whose photographs could be registered a period off.
+
+
+PHONE = PhoneCamera(width=480, height=360)
+FINE = 2  # samples along a pixel's side
+
+
+def _smooth(rng, deviation):
+    noise = cv2.GaussianBlur(rng.normal(size=(1024, 1024)).astype(np.float32), (0, 0), deviation)
+    return noise / noise.std()
+
+
+def _weave(thread, clouds, flaws):
+    """Albedo of plane points (3, h, w): threads of a width; log contrast of clouds and flaws."""
+    rng = np.random.default_rng(1)
+    irregular = clouds * _smooth(rng, 30.0) + flaws * _smooth(rng, 1.0)
+
+    def albedo(points):
+        x = np.cos(0.2) * points[0] + np.sin(0.2) * points[1]
+        y = np.cos(0.2) * points[1] - np.sin(0.2) * points[0]
+        u, v = np.sin(np.pi * x / thread), np.sin(np.pi * y / thread)
+        woven = np.where(u * v > 0.0, np.abs(u) ** 0.7, 0.75 * np.abs(v) ** 0.7)
+        place = [((p + 2.0) * 255.75).astype(np.float32) for p in points[:2]]
+        return (0.1 + 0.4 * woven) * np.exp(cv2.remap(irregular, *place, cv2.INTER_LINEAR))
+
+    return albedo
+
+
+def _photographs(albedo):
+    """Cameras, and their flash photographs of an albedo."""
+    cameras, photos = hold(PHONE, Hand(), 2, 5), []
+    columns, rows = PHONE.width * FINE, PHONE.height * FINE
+    x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    image = np.stack([x - columns / 2.0, rows / 2.0 - y]) / (columns / 2.0)
+    for number, camera in enumerate(cameras):
+        points = camera.on_plane(image)
+        away = camera.flash((0.04, -0.07, 0.0))[:, None, None] - points
+        lit = albedo(points) * away[2] / np.square(away).sum(0) ** 1.5
+        small = cv2.resize(
+            lit / lit.max(), (PHONE.width, PHONE.height), interpolation=cv2.INTER_AREA
+        )
+        noise = np.random.default_rng(number).normal(size=(*small.shape, 3))
+        pixels = (0.9 * small[..., None] + 0.003 * noise).clip(1e-4, 1.0).astype(np.float32)
+        clipped = (pixels >= 1.0).any(-1)
+        size = (PHONE.width, PHONE.height)
+        photos.append(Photo(pixels, clipped, PHONE.fov, "exif", True, f"p{number}", size))
+    return cameras, photos
+
+
+@pytest.mark.parametrize(("thread", "clouds", "flaws"), [(0.04, 0.1, 0.1), (0.1, 0.1, 0.05)])
+def test_a_weave_with_flaws_is_laid_in_its_place(thread, clouds, flaws):
+    cameras, photos = _photographs(_weave(thread, clouds, flaws))
+    found = register(photos, FlashSetup(fov=PHONE.fov))
+    assert len(found.views) == 2 and is_periodic(photos[0])
+    points = np.stack([*np.random.default_rng(0).uniform(-0.5, 0.5, (2, 200)), np.zeros(200)])
+    first, second = (view.camera for view in found.views)
+    there = second.on_plane(cameras[1].sees(cameras[0].on_plane(first.sees(points))))
+    assert np.hypot(*(there - points)[:2]).max() < 0.1 * thread
+
+
+def test_a_weave_without_a_flaw_is_refused_in_a_sentence():
+    _, photos = _photographs(_weave(0.04, 0.0, 0.0))
+    found = register(photos, FlashSetup(fov=PHONE.fov))
+    (refused,) = found.left_out
+    assert "pattern repeats" in refused.why and "border" in refused.why
+
+
+def test_grain_does_not_repeat_itself():
+    _, photos = _photographs(_weave(1e9, 0.1, 0.3))  # of one thread
+    assert not is_periodic(photos[0])
