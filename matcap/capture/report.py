@@ -26,7 +26,8 @@ Keys:
         that between parts of the photograph; null if not measured.
     warnings: sentences on what may reduce the quality.
     notes: sentences on the file and the settings.
-    photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share.
+    photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share;
+        `headroom`, the radiance at which it clips in units of white, null if nothing does.
     camera: `fov_degrees` and `fov_source`, distance, `tilt_degrees`, `tilt_sources` (degrees about
         x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
         `picture`, of the coarse fit without the branch; null of several photographs, where
@@ -293,6 +294,8 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "flash_fired": photo.flash_fired,
             "gain_map_applied": photo.gain_map_applied,
             "clipped_share": photo.clipped_share,
+            "headroom": photo.headroom if math.isfinite(photo.headroom) else None,
+            "headroom": photo.headroom if math.isfinite(photo.headroom) else None,
         },
         "camera": {
             "fov_degrees": setup.fov,

@@ -198,7 +198,9 @@ ONE = torch.ones(1, MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH)
 PRIOR = MeanParameterPrior(torch.zeros(1, 5), torch.tensor([[1.0, 1.0, 1.0, 0.15, 1.0]]))
 
 
-def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Uniform]:
+def glossy(
+    roughness: float, brightness: float = 1.0, limit: float = 1.0
+) -> tuple[RingTarget, Uniform]:
     """A photograph of an even dielectric with relief, and the surface that it is fitted from."""
     shot = photographed(0.05, 0.0, width=MEAN_PARAMETERS_WIDTH, height=MEAN_PARAMETERS_HEIGHT)
     maps = replace(
@@ -215,13 +217,14 @@ def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Unifo
     uniform = Uniform((0.3, 0.3, 0.3), 0.04, 0.5, setup)
     x, y = flash_mirror_point(setup)
     target = RingTarget(
-        linear=linear.clamp_max(1.0),
-        measured=linear < 1.0,
+        linear=linear.clamp_max(limit),
+        measured=linear < limit,
         counts=torch.ones(MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH, dtype=torch.bool),
         distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
         flash=FlashLight.of(setup, shot.points),
         normal=maps.normal,
         surface=uniform.parameters(),
+        limit=limit,
     )
     return target, uniform
 
@@ -245,6 +248,15 @@ def test_a_clipped_core_is_a_lower_bound() -> None:
     target, uniform = glossy(0.25)
     assert 0.01 < float((~target.measured).float().mean()) < 0.1
     assert fitted(target, uniform)[2] == pytest.approx(0.25, rel=0.1)
+
+
+@pytest.mark.parametrize("limit", [8.0, float("inf")])
+def test_light_above_white_is_measured(limit: float) -> None:
+    target, uniform = glossy(0.2, 2.0, limit)
+    assert float(target.linear.max()) > 4.0
+    albedo, f0, found = fitted(target, uniform)
+    assert (albedo, f0) == (pytest.approx(0.2, rel=0.1), pytest.approx(0.04, rel=0.15))
+    assert found == pytest.approx(0.2, rel=0.1)
 
 
 def test_what_is_clipped_everywhere_is_raised_and_never_lowered() -> None:
