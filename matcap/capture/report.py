@@ -295,7 +295,6 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "gain_map_applied": photo.gain_map_applied,
             "clipped_share": photo.clipped_share,
             "headroom": photo.headroom if math.isfinite(photo.headroom) else None,
-            "headroom": photo.headroom if math.isfinite(photo.headroom) else None,
         },
         "camera": {
             "fov_degrees": setup.fov,
