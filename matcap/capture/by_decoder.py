@@ -17,9 +17,10 @@ from torch import Tensor, nn
 
 from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.method import FEATURES, WINDOW, Method
 from matcap.capture.rectified import Rectified
 from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
-from matcap.capture.settings import FEATURES, WINDOW, CaptureClock, CaptureSettings, Effort, Method
+from matcap.capture.settings import CaptureClock, CaptureSettings, Effort
 from matcap.errors import MatcapError
 from matcap.field.material import Material
 from matcap.files.color import srgb_encode_tensor

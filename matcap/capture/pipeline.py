@@ -14,6 +14,7 @@ from pathlib import Path
 from matcap.capture.bracket import find_brackets, merge_bracket
 from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.method import Method
 from matcap.capture.rectified import Rectified, fit_photograph
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.report import write_outputs
@@ -27,7 +28,6 @@ from matcap.capture.settings import (
     CaptureClock,
     CaptureProgress,
     CaptureSettings,
-    Method,
     OutputSettings,
     check_photographs,
     resolve,

@@ -22,7 +22,7 @@ from matcap.capture.rectified import tilt_line
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
 from matcap.photo.checks import Rating
-from matcap.photo.exif import standing
+from matcap.photo.orient import standing
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet

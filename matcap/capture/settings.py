@@ -15,7 +15,6 @@ from matcap.errors import UsageError
 from matcap.files import settings as values
 from matcap.files.names import Progress, ignore_progress
 from matcap.files.settings import CheckedSettings, setting, typed_settings
-from matcap.statistics.compare import FilterBankConfig, Weights
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
@@ -379,23 +378,6 @@ def resolve(settings: CaptureSettings) -> Effort:
     if settings.detail is not None:
         effort = replace(effort, detail=settings.detail)
     return effort if settings.generator == "decoder" else replace(effort, steps=0)
-
-
-# Variants of the capture method for experiments; not user settings.
-
-
-WINDOW = 160  # side of the windows whose texture statistics are compared, texels
-FEATURES = FilterBankConfig(sizes=(5,), filters=64)
-
-
-@dataclass(frozen=True)
-class Method:
-    """A variant of the capture method; by default the one that measured best."""
-
-    weights: Weights = Weights()
-    """Weights of the texture statistics in their sum."""
-    measured_tilt: bool = True
-    """Whether the alignment branch's tilt is a prior of the coarse fit."""
 
 
 # Progress of a capture: its stages, each with its share of the time.

@@ -18,10 +18,7 @@ from matcap.cli.options import (
     files_read,
     with_settings,
 )
-from matcap.export.textures import (
-    ExportArea,
-    ExportOptions,
-)
+from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import ReadOptions
 from matcap.files import settings as values
 

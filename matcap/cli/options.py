@@ -15,7 +15,6 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type
 import typer
 from typer.core import TyperCommand
 
-from matcap.brdf.folder import mapset_files
 from matcap.files.settings import Setting, number, settings_in
 
 # Options that several commands share.
@@ -77,6 +76,8 @@ def _of(path: Path) -> Iterable[Path]:
     if not path.is_dir() and path.suffix.lower() != ".json":
         return [path]
     folder = path if path.is_dir() else path.parent
+    from matcap.brdf.folder import mapset_files
+
     sets = [file.stem for file in folder.glob("*.json")]
     maps = {file for name in sets for file in mapset_files(name)}
     return [file for file in folder.glob("*") if file.suffix == ".matcap" or file.name in maps]

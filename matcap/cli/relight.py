@@ -21,7 +21,7 @@ from matcap.cli.options import (
     with_settings,
 )
 from matcap.field.options import ReadOptions
-from matcap.relight.output import RelightOptions
+from matcap.relight.options import RelightOptions
 
 if TYPE_CHECKING:
     from matcap.files import settings as values
@@ -159,7 +159,8 @@ def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) ->
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     """Camera and flash of a material's photograph as a scene, or None."""
     from matcap.field.opened import open_photographed
-    from matcap.relight.scene import Film, photographed_scene
+    from matcap.relight.photographed import photographed_scene
+    from matcap.relight.scene import Film
 
     known = open_photographed(path)
     if known is None:

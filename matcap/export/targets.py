@@ -55,17 +55,14 @@ from matcap.export.job import (
 )
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
+from matcap.export.options import ExportOptions
 from matcap.export.presets import Preset, pack
 from matcap.export.shading import (
     Residual,
     residuals,
 )
 from matcap.export.texture_file import WRITERS, TextureFile
-from matcap.export.textures import (
-    Export,
-    ExportOptions,
-    Workflow,
-)
+from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.names import (
     MAKER_VERSION,

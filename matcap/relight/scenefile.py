@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import nearest
-from matcap.relight.plan import DEFAULT_TOLERANCE, Plan
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.plan import Plan
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     NAMED_LIGHTS,

@@ -12,9 +12,9 @@ from materials import a_material
 
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.brdf.maps import MapSet
+from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import BLOCK
-from matcap.field.source import Field
 from matcap.files.exr import read_exr
 
 # `matcap synth`: what it writes and what it refuses, with a small real material.

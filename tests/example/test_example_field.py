@@ -17,9 +17,10 @@ from matcap.example.blend import BAND_LEVELS, BANDS, ExemplarBands, Nodes, Votes
 from matcap.example.candidates import DIMENSIONS, LARGEST, LIMIT, PLANES, TAPS, Basis, project
 from matcap.example.coordinates import coordinates, correct
 from matcap.example.example import Example, coarsened
-from matcap.example.index import COST_BITS, PENALTY_BITS, Frame, Level, build_index, prepare
+from matcap.example.grids import COST_BITS, Frame
+from matcap.example.index import PENALTY_BITS, Level, build_index, prepare
+from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle
-from matcap.field.source import read_source
 
 # The field by example is one function of texel and seed, made of the exemplar's own pieces.
 

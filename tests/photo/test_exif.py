@@ -10,14 +10,9 @@ from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
-from matcap.photo.exif import (
-    Exif,
-    fov_of_film,
-    phone_fov,
-    read_exif,
-    upright,
-)
+from matcap.photo.exif import Exif, fov_of_film, phone_fov, read_exif
 from matcap.photo.load import load_photo
+from matcap.photo.orient import upright
 
 ORIENTATION, EXIF_IFD, FOCAL_LENGTH_35, FLASH = 0x0112, 0x8769, 0xA405, 0x9209
 

@@ -21,7 +21,8 @@ from matcap.files.color import srgb_encode, srgb_picture
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.light import render_flash, render_rectified
-from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
     NAMED_LIGHTS,
@@ -32,7 +33,6 @@ from matcap.relight.scene import (
     RectangleLight,
     Scene,
     Surface,
-    photographed_scene,
     scene_from_light,
 )
 from matcap.relight.scenefile import PRESETS, parse_scene, preset, read_scene

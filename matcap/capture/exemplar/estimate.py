@@ -41,7 +41,7 @@ from matcap.capture.settings import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.index import Frame
+from matcap.example.grids import Frame
 from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane
