@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # Modules of the names that are imported when first used.
 _HOMES = {
-    "Field": "matcap.field.source",
+    "Field": "matcap.field.field",
     "MapSet": "matcap.brdf.maps",
     "MapSetInfo": "matcap.brdf.folder",
     "Material": "matcap.field.material",
