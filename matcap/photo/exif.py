@@ -16,21 +16,10 @@ from numpy.typing import NDArray
 
 from matcap.files.stated_color import png_chunks, riff_chunks
 
-# Rotates pictures: by EXIF orientation, and from portrait to landscape.
+# Rotates pictures from portrait to landscape; files/pixels.py: by EXIF orientation.
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-
-def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
-    """Upright view of a stored picture (H, W, ...); `orientation` is EXIF's, 1 to 8."""
-    if orientation in (5, 6, 7, 8):
-        picture = picture.swapaxes(0, 1)
-    if orientation in (2, 3, 6, 7):
-        picture = picture[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        picture = picture[::-1]
-    return picture
 
 
 def quarter_turn(picture: NDArray[Scalar]) -> NDArray[Scalar]:

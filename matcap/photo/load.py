@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import MAGIC
+from matcap.files.pixels import upright
 from matcap.files.process import quiet_decoders
 from matcap.photo.developed import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.dng import Corrections, raw_page, read_corrections
-from matcap.photo.exif import Exif, phone_fov, quarter_turn, read_exif, upright
+from matcap.photo.exif import Exif, phone_fov, quarter_turn, read_exif
 from matcap.photo.left_out import leave_transparent_out
 from matcap.photo.lossless import (
     is_float_dng,

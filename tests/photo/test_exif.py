@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
+from matcap.files.pixels import upright
 from matcap.photo.exif import (
     Exif,
     fov_of_film,
     phone_fov,
     read_exif,
-    upright,
 )
 from matcap.photo.load import load_photo
 

@@ -11,7 +11,7 @@ from gain_map_files import apple_xmp, exif, hdrgm, iso, jpeg, maker_note, write
 from icc_files import matrix_profile, parametric
 
 from matcap.files.color import rec709_decode, srgb_decode
-from matcap.photo.exif import upright
+from matcap.files.pixels import upright
 from matcap.photo.hdr_gain_map import of_jpeg
 from matcap.photo.load import load_photo
 
