@@ -39,7 +39,8 @@ Taken = Callable[[Path], float | None]
 Brackets = Callable[[Sequence[Path]], list[tuple[Path, ...]]]
 
 _RAW = {".dng", *RAW_SUFFIXES}
-_CAMERA = (".jpg", ".jpeg", ".heic", ".heif", ".hif", ".avif")  # that cameras write with a RAW
+# That cameras write with a RAW; .jfif and .jpe are JPEGs as browsers save them.
+_CAMERA = (".jpg", ".jpeg", ".jpe", ".jfif", ".heic", ".heif", ".hif", ".avif")
 _OTHER = (".png", ".tif", ".tiff", ".webp", ".exr", ".hdr")
 # Folders of thumbnails, trash and snapshots that network drives and systems create.
 _NO_SHOOTS = frozenset({

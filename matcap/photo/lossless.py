@@ -22,6 +22,7 @@ from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.dng import Corrections, raw_page
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.photo import Decoded, check_size, decoding, missing_extra, unreadable, unsupported
+from matcap.photo.raw_samples import normalised
 
 # Reads photographs in floating point: EXR and Radiance HDR, and the raw picture of a float DNG.
 #
@@ -35,9 +36,7 @@ _SHARED, _SHARED_SHARE = 16, 1e-4
 _MOST_SHARED = 0.5  # share of all from which on it is a flat picture
 _EQUAL = 1e-4  # relative difference of values that count as equal
 _USUAL_MEDIANS = (1e-3, 2.0)  # median of a photograph in units of white; beyond, white is doubtful
-_LEVELS = ((50714, 0.0), (50717, 1.0))  # tags of BlackLevel and WhiteLevel, and their defaults
-_PATTERN, _ORIENTATION = 33422, 274  # tags
-_PLAIN, _RATIONALS = 1, (5, 10)  # a compression, and types of tags
+_PATTERN, _PLAIN = 33422, 1  # a tag, and a compression
 
 
 def read_exr_or_radiance(path: Path, long_side: int | None, white: float | None) -> Decoded:
@@ -142,7 +141,7 @@ def read_float_dng(
     """Read a DNG whose raw picture is in floating point, as merged exposures are.
 
     LibRaw scales such a picture by its maximum. A mosaic is averaged by 2 x 2. White balance,
-    colours and active area are the file's (dng.py).
+    colours, active area and crop are the file's (dng.py).
 
     Raises:
         MatcapError: truncated, damaged, too small, with lens-shading maps, of another pattern than
@@ -158,24 +157,26 @@ def read_float_dng(
         check_size(path, page.imagewidth, page.imagelength)
         if int(page.compression) != _PLAIN and importlib.util.find_spec("imagecodecs") is None:
             raise missing_extra(path, "a compressed float DNG", "jxl")
-        samples = np.asarray(page.asarray(), np.float32)
-        black, level = (np.ravel(_value(page, tag, none)) for tag, none in _LEVELS)
-        pattern = bytes(_value(page, _PATTERN, b"")) if samples.ndim == 2 else None
-        orientation = int(_value(file.pages.first, _ORIENTATION, 1))
-    if corrections.active_area is not None:
-        top, left, bottom, right = corrections.active_area
-        samples = samples[top:bottom, left:right]
+        samples = normalised(page)
+        pattern = bytes(page.tags[_PATTERN].value) if samples.ndim == 2 else None
+    crop = corrections.crop
     camera = samples[..., :3] if pattern is None else _binned(path, samples, pattern)
-    dark = float(np.mean(black))
-    camera = (camera - np.float32(dark)) / np.float32(float(np.min(level)) - dark)
+    size = samples.shape[1], samples.shape[0]
+    if crop is not None:
+        step = 1 if pattern is None else 2
+        top, left, bottom, right = (edge // step for edge in crop.shown)
+        camera = camera[top:bottom, left:right]
+        size = crop.shown[3] - crop.shown[1], crop.shown[2] - crop.shown[0]
     space = ColorSpace("the camera", LINEAR.curves, color.matrix)
     balanced = np.asarray(camera / np.array(color.neutral, np.float32), np.float32)
     notes = (*corrections.notes, *((color.note,) if color.note else ()))
     coded = light(path, balanced, white, notes, StatedColor(space=space))
-    size = samples.shape[1], samples.shape[0]
     red, green, blue = (1.0 / channel for channel in color.neutral)
-    picture = decode(replace(coded, size=size), long_side, str(path), orientation)
-    return replace(picture, radiometric=True, balance=(red, green, blue)), read_exif(path)
+    picture = decode(replace(coded, size=size), long_side, str(path), corrections.orientation or 1)
+    area = None if crop is None else crop.whole
+    whole = None if area is None else (area[3] - area[1], area[2] - area[0])
+    picture = replace(picture, radiometric=True, balance=(red, green, blue), whole=whole)
+    return picture, read_exif(path)
 
 
 def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray[np.float32]:
@@ -189,17 +190,6 @@ def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray
         for c in range(3)
     ]
     return np.stack(planes, axis=-1)
-
-
-def _value(page: Any, tag: int, none: Any) -> Any:  # noqa: ANN401
-    """Value of a tag of a page; a quotient for rationals."""
-    if tag not in page.tags:
-        return none
-    entry = page.tags[tag]
-    if int(entry.dtype) in _RATIONALS:
-        pairs = np.ravel(entry.value).astype(np.float64).reshape(-1, 2)
-        return pairs[:, 0] / pairs[:, 1]
-    return entry.value
 
 
 # Reads PNG and TIFF of 8 and 16 bits, and TIFF in floating point, by OpenImageIO.
