@@ -64,6 +64,35 @@ def unsupported_jpeg(path: Path) -> str:
     return ""
 
 
+# JPEGs that lack their end marker alone, as copies and network cameras leave them.
+
+NO_END = "The JPEG lacks its end marker; all of its picture is there."
+_END = b"\xff\xd9"
+# Appended in turn: where a picture lacks codes, they decode to different ones.
+_FILLERS = (b"", b"\x5a" * 64, b"\xa5\x13" * 64)
+
+
+def with_end(path: Path) -> bytes | None:
+    """A JPEG's bytes with an end marker, if that is all it lacks; else None."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    data = path.read_bytes().rstrip(b"\0\xff")
+    if _END in data[data.rfind(b"\xff\xda") :]:
+        return None
+    first = None
+    for filler in _FILLERS:
+        try:
+            picture = JpegImageFile(io.BytesIO(data + filler + _END))
+            picture.load()
+        except (OSError, SyntaxError, ValueError):
+            return None
+        codes = picture.tobytes()
+        if first is not None and codes != first:
+            return None
+        first = codes
+    return data + _END
+
+
 # Writes PNG files of 8 and 16 bits; values are rounded, not truncated.
 
 
@@ -239,13 +268,21 @@ def _from_jpeg(path: Path) -> Pixels:
 
     if coding := unsupported_jpeg(path):
         raise _unsupported(path, coding)
+    notes: tuple[str, ...] = ()
     try:
         with warnings.catch_warnings(), path.open("rb") as file:
             warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
-            image = Image.open(file, formats=("JPEG", "MPO"))
+            image: Any = Image.open(file, formats=("JPEG", "MPO"))
             _check_size(path, *image.size)
             _check_colours(path, image.mode)
-            image.load()
+            try:
+                image.load()
+            except OSError:
+                whole = with_end(path)
+                if whole is None:
+                    raise
+                image, notes = Image.open(io.BytesIO(whole), formats=("JPEG",)), (NO_END,)
+                image.load()
     except (MatcapError, MemoryError):
         raise
     except Image.DecompressionBombError as error:
@@ -255,7 +292,8 @@ def _from_jpeg(path: Path) -> Pixels:
     stored = np.asarray(image.convert("L") if image.mode == "1" else image)
     stored = stored[..., None] if stored.ndim == 2 else stored
     roles = dict.fromkeys(_RGB, 0) if stored.shape[2] == 1 else _RGB
-    return _standing(Pixels(path, stored, roles), image.getexif().get(_ORIENTATION, 1))
+    pixels = Pixels(path, stored, roles, notes=notes)
+    return _standing(pixels, image.getexif().get(_ORIENTATION, 1))
 
 
 def _from_radiance(path: Path) -> Pixels:

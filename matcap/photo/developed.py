@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files import bmff
 from matcap.files.color import Linearise, largest_code
-from matcap.files.pixels import unsupported_jpeg
+from matcap.files.pixels import NO_END, unsupported_jpeg, with_end
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, FocalPlane, read_exif
@@ -204,7 +205,15 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         check_size(path, *size)
         if size[0] * size[1] > _LARGE and long_side is not None and 2 * long_side <= max(size):
             image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
-        image.load()
+        notes: tuple[str, ...] = ()
+        try:
+            image.load()
+        except OSError:
+            whole = with_end(path)
+            if whole is None:
+                raise
+            image, notes = JpegImageFile(io.BytesIO(whole)), (NO_END,)
+            image.load()
     if image.mode not in _MODES:
         raise unsupported(path, f"a JPEG of {image.mode} colours")
 
@@ -219,6 +228,7 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         stated_color(path),
         _LOSSY_CLIP,
         size=size,
+        notes=notes,
     )
     if hdr_gain_map.has_mark(path):
         coded = _brightened(

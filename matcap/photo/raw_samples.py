@@ -71,7 +71,7 @@ def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> Samples:  # noqa: 
     if TABLE in page.tags:
         table = np.asarray(page.tags[TABLE].value, np.float32)
         stored = table[np.minimum(stored, len(table) - 1)]
-    samples = stored.astype(np.float32)
+    samples: Any = stored.astype(np.float32)
     area = _whole(page, ACTIVE_AREA, (0, 0, *samples.shape[:2]))
     samples = samples[area[0] : area[2], area[1] : area[3]]
     flat = samples.ndim == 2
@@ -94,7 +94,7 @@ def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> Samples:  # noqa: 
     samples = (samples - black) / span.astype(np.float32)
     for one in maps:
         one.apply(samples)
-    return samples[..., 0] if flat else samples
+    return np.asarray(samples[..., 0] if flat else samples)
 
 
 def in_order(stored: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
@@ -131,7 +131,7 @@ class ValueMap:
         inside = np.clip(samples[place], 0.0, 1.0).astype(np.float64)
         if self.is_table:
             last = len(self.numbers) - 1
-            mapped = np.interp(inside * 65535.0, np.arange(last + 1), self.numbers)
+            mapped: Any = np.interp(inside * 65535.0, np.arange(last + 1), self.numbers)
         else:
             mapped = np.polynomial.polynomial.polyval(inside, self.numbers)
         samples[place] = np.clip(mapped, 0.0, 1.0)
