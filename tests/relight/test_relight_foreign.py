@@ -614,3 +614,35 @@ def test_occlusion_in_a_normal_map_s_blue_is_no_z(plain):
     read = read_foreign(folder)
     assert any("blue holds other data" in note for note in read.notes)
     np.testing.assert_allclose(read.texture.slopes, before, atol=0.02)
+
+
+def test_maps_in_a_folder_inside_are_pointed_to(plain):
+    folder, _, _ = plain
+    inside = folder / "textures"
+    inside.mkdir()
+    for file in folder.glob("*.png"):
+        file.rename(inside / file.name)
+    with pytest.raises(MatcapError, match=r"give the folder that holds it \(textures\)"):
+        read_foreign(folder)
+
+
+def test_tiles_of_others_are_called_so(plain):
+    folder, _, _ = plain
+    for file in list(folder.glob("*.png")):
+        for tile in (1001, 1002):
+            (folder / f"{file.stem}.{tile}.png").write_bytes(file.read_bytes())
+        file.unlink()
+    with pytest.raises(MatcapError, match="are UDIM tiles"):
+        read_foreign(folder)
+    for file in folder.glob("*.1002.png"):
+        file.unlink()
+    read_foreign(folder)
+
+
+@pytest.mark.parametrize("suffix", ["jfif", "jpe"])
+def test_jpegs_of_other_suffixes(plain, suffix):
+    folder, pictures, _ = plain
+    (folder / "a_Color.png").unlink()
+    Image.fromarray(code(pictures["base"])).save(folder / "a.jpg", quality=95)
+    (folder / "a.jpg").rename(folder / f"a_Color.{suffix}")
+    assert read_channels(folder).files["base"] == f"a_Color.{suffix}"

@@ -86,6 +86,7 @@ _QUALIFIERS = (
     "tangent", "pbr", "space", "world", "object", "ws", "os", "worldspace", "objectspace", "aces",
     "acescg", "utility",
 )  # fmt: skip
+_UDIM = re.compile(r"(?<!\d)1\d{3}(?!\d)")  # a tile's number in a name (1001 and up)
 # Words that say that normals are not in tangent space.
 _SPATIAL = frozenset(("world", "object", "ws", "os", "worldspace", "objectspace"))
 OBJECT_SPACE = "normals of object or world space"
@@ -224,10 +225,15 @@ def assigned(folder: Path) -> SetFiles:
         taken = [kind for kind in wanted if kind in files]
         for kind in taken:
             if files[kind].stem != file.stem:
+                both = files[kind].path.name, file.path.name
+                tiles = all(_UDIM.search(name) for name in both)
                 raise MatcapError.at(
                     folder,
-                    f"{files[kind].path.name} and {file.path.name} are both its {kind} map",
-                    "keep the maps of one set, in one size, in a folder",
+                    f"{both[0]} and {both[1]} are "
+                    + ("UDIM tiles" if tiles else f"both its {kind} map"),
+                    "keep the maps of one tile in a folder, without the number"
+                    if tiles
+                    else "keep the maps of one set, in one size, in a folder",
                 )
         files |= {kind: file for kind in wanted if kind not in files}
         if not wanted:

@@ -19,6 +19,7 @@ from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.relight.camera import Array
 from matcap.relight.foreign.names import (
     OBJECT_SPACE,
+    READ_SUFFIXES,
     NamedFile,
     SetFiles,
     assigned,
@@ -179,6 +180,7 @@ def _constant(plane: Array) -> bool:
 
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
 _COLOURED = 0.02  # mean difference between channels above which a picture is coloured
+_MOST_FOLDERS = 50  # that are looked into
 _SHAPE = 0.02  # largest relative difference of the maps' aspect ratios
 
 
@@ -249,12 +251,26 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
             )
         if "base" not in about.files:
             unused = f" (not used: {', '.join(about.left_out)})" if about.left_out else ""
+            inside = ", ".join(_folders_of_maps(folder))
             raise MatcapError.at(
                 folder,
                 f"there is no map of base colour in this folder{unused}",
-                "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
+                f"give the folder that holds it ({inside})"
+                if inside
+                else "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
             )
         return _Set(about, dict(about.files), left_out=[*about.left_out]).channels(normal)
+
+
+def _folders_of_maps(folder: Path) -> list[str]:
+    """Names of the folders in a folder that hold pictures, the first three."""
+    inside = sorted(one for one in folder.iterdir() if one.is_dir() and one.name[0] not in "._")
+    held = [
+        one.name
+        for one in inside[:_MOST_FOLDERS]
+        if any(file.suffix.lower() in READ_SUFFIXES for file in one.iterdir())
+    ]
+    return held[:3]
 
 
 @dataclass
