@@ -365,7 +365,7 @@ def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[st
 
 def _parts(source: Any) -> list[Any]:  # noqa: ANN401
     """OpenImageIO's specification of each part of an open EXR file."""
-    specs = []
+    specs: list[Any] = []
     while len(specs) < _MOST_PARTS and source.seek_subimage(len(specs), 0):
         specs.append(source.spec().copy())
     forget_error(source.geterror)
@@ -478,7 +478,8 @@ def linear_colours(
     if "G" not in pixels.roles or "B" not in pixels.roles:
         raise MatcapError.at(pixels.path, "has two channels, which are no colour", "save it as RGB")
     colours = pixels.colours()
-    stated = stated_color(pixels.path, pixels.page)
+    with quiet_decoders():
+        stated = stated_color(pixels.path, pixels.page)
     if pixels.whole:
         if named:
             return _from_space(colours, named, "the name's")
@@ -506,7 +507,7 @@ def _from_space(
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """Colours of a named space; of an unknown one as linear Rec.709, with a note."""
     space = space_of_name(name)
-    light = colours.astype(np.float32) / np.float32(largest_code(colours.dtype))
+    light: Any = colours.astype(np.float32) / np.float32(largest_code(colours.dtype))
     if space is None:
         return light, (
             f"Nothing is known of {whose} colour space {name!r}: linear Rec.709 assumed.",
