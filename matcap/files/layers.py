@@ -30,7 +30,7 @@ _DATA = frozenset((
 
 
 @dataclass(frozen=True)
-class Layer:
+class ExrLayer:
     """A picture in an EXR file."""
 
     part: int
@@ -48,7 +48,7 @@ class Layer:
 
 def meant_layer(
     specs: Sequence[Any], wanted: Sequence[str] = (), where: str = ""
-) -> tuple[Layer, tuple[str, ...]]:
+) -> tuple[ExrLayer, tuple[str, ...]]:
     """The layer that is meant, and a note on which of several it is.
 
     First is the one that a `wanted` word names, then what is called combined, beauty or the like,
@@ -77,7 +77,7 @@ def meant_layer(
             "flatten it, and save it with one sample a pixel" if deep else "save it as RGB",
         )
 
-    def order(layer: Layer) -> tuple[int, int, int]:
+    def order(layer: ExrLayer) -> tuple[int, int, int]:
         words = re.findall("[a-z]+", re.sub("(?<=[a-z])(?=[A-Z])", " ", layer.name).lower())
         ranks = [wanted.index(word) for word in words if word in wanted]
         if ranks:
@@ -99,7 +99,7 @@ def meant_layer(
     )
 
 
-def _layers(index: int, spec: Any, several: bool, where: str) -> list[Layer]:  # noqa: ANN401
+def _layers(index: int, spec: Any, several: bool, where: str) -> list[ExrLayer]:  # noqa: ANN401
     """The layers of a part that have a colour or grey channel."""
     part = str(spec.getattribute("oiio:subimagename") or spec.getattribute("name") or "")
     by_name: dict[str, dict[str, int]] = {}
@@ -117,7 +117,7 @@ def _layers(index: int, spec: Any, several: bool, where: str) -> list[Layer]:  #
     for layer, tails in by_name.items():
         name = f"{part}.{layer}".strip(".") if several else layer
         if (roles := _roles(tails, alone=alone)) is not None:
-            layers.append(Layer(index, name, roles))
+            layers.append(ExrLayer(index, name, roles))
     return layers
 
 

@@ -155,6 +155,7 @@ MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
 _RGB = {"R": 0, "G": 1, "B": 2}
 # Integers of 32 bits are codes as well: 16 bits of them are kept.
 _READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "uint16"}
+_SIGNED = ("int8", "int16", "int", "int32")
 _MOST_PARTS = 64  # of an EXR that are looked at
 _ORIENTATION = 274  # a tag of Exif
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -347,6 +348,8 @@ def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[st
         coding = str(spec.getattribute("compression") or "this")
         raise _unsupported(path, f"{coding} compression") if _NOT_BUILT in broken else _broken(path)
     stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
+    if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
+        stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
     if exr:  # in other formats an offset is the position on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
     pixels = Pixels(
@@ -516,8 +519,8 @@ def _from_space(
         light = np.stack([space.curves[c](light[..., c]) for c in range(3)], axis=-1)
     if space.matrix is not None:
         light = light @ space.matrix.T.astype(np.float32)
-    told = () if space is LINEAR else (f"Colours converted from {whose} {space.name} to Rec.709.",)
-    return np.asarray(light, np.float32), told
+    notes = () if space is LINEAR else (f"Colours converted from {whose} {space.name} to Rec.709.",)
+    return np.asarray(light, np.float32), notes
 
 
 # Writes an image to a file: linear EXR or sRGB PNG, by suffix.

@@ -489,4 +489,5 @@ def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  #
             gains = np.take_along_axis(gains, of_color, axis=2)[..., 0]
             gains *= before.gains(top, bottom, 1)[..., 0]
         stored[...] = np.clip(np.rint(base + (stored - base) * (gains * stretch)), 0, _FULL)
-    return headroom, round(white_at * stretch * headroom + (black.min() if flat else 0.0))
+    # LibRaw sets this white level after it has subtracted black.
+    return headroom, round(white_at * stretch * headroom)

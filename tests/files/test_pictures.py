@@ -413,8 +413,9 @@ def test_of_pages_of_one_size_the_first_is_read_and_noted(tmp_path):
     assert "2 pictures" in pixels.notes[0]
 
 
-def test_integers_of_32_bits_are_codes(tmp_path):
-    codes = np.full((8, 8, 3), 2**31, np.uint32)
+@pytest.mark.parametrize(("kind", "half"), [("uint32", 2**31), ("int32", 2**30), ("int16", 2**14)])
+def test_integers_of_other_types_are_codes(tmp_path, kind, half):
+    codes = np.full((8, 8, 3), half, kind)
     tifffile.imwrite(tmp_path / "a.tif", codes, photometric="rgb")
     colours, _ = linear_colours(read_pixels(tmp_path / "a.tif"))
     np.testing.assert_allclose(colours, srgb_decode(np.array(0.5)), atol=1e-4)

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 import tifffile
-from simulated.files import mosaic, opcode_list, rationals, write_dng
+from simulated.files import gain_map, mosaic, opcode_list, rationals, write_dng
 
 from matcap.errors import MatcapError
 from matcap.photo.load import load_photo
@@ -200,3 +200,27 @@ def test_exif_in_the_first_directory(tmp_path, light):
     assert photo.fov == pytest.approx(87.7, abs=0.1)
     assert photo.flash_fired is True
     assert photo.exposure == pytest.approx(0.01 * 100 / 1.8**2)
+
+
+def test_levels_crop_and_shading_together(tmp_path, light):
+    """Maps count from the active area, the crop too; LibRaw would misread the levels."""
+    black = np.array([[100, 140], [180, 220]])
+    gains = np.linspace(1.0, 2.0, 4)[None, :, None] * np.ones((3, 4, 1))
+    rows, columns = np.indices(SIZE)
+    across = np.interp((columns + 0.5) / SIZE[1], np.linspace(0, 1, 4), gains[0, :, 0])
+    shaded = mosaic(light, black=0, white=60000) / 60000 / across
+    stored = np.zeros((SIZE[0] + 1, SIZE[1] + 1), np.uint16)
+    stored[1:, 1:] = np.rint(black[rows % 2, columns % 2] + shaded * (4095 - 220))
+    more = [(50713, 3, 2, (2, 2), True), (50714, 3, 4, tuple(black.ravel()), True), *CROP]
+    path = write_dng(
+        tmp_path / "a.dng",
+        stored,
+        more=more,
+        black=None,
+        white=4095,
+        active_area=(1, 1, SIZE[0] + 1, SIZE[1] + 1),
+        opcodes2=opcode_list(gain_map(gains, SIZE)),
+    )
+    photo = load_photo(path, noise=False)
+    assert photo.gain_map_applied
+    np.testing.assert_allclose(photo.pixels[4:-4, 4:-4], light[12:68, 20:108], atol=0.01)

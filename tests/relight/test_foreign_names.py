@@ -146,6 +146,11 @@ SETS = {
         "T_Rock_AO_R_M.png": ORM,
         "T_Rock_R_M.png": None,
     },
+    "abbreviations between separators": {
+        "Rock_albedo.png": "base",
+        "Rock_normal.png": "normal",
+        "Rock_ao_rough_metal.png": ORM,
+    },
     "layers of OpenPBR, Arnold and glTF": {
         "m_base_color.png": "base",
         "m_specular_roughness.png": "roughness",

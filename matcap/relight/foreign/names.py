@@ -101,6 +101,7 @@ _SPACES = {
 # Separate words that are one: names of OpenPBR and Arnold, and of maps packed by letters.
 _ONE_WORD = re.compile(
     r"(?i)(?<![a-z])(diffuse|specular)[\s_\-.]+(roughness)(?![a-z])"
+    r"|(?<![a-z])(ao|occ|occlusion)[\s_\-.]+(rough(?:ness)?|rgh)[\s_\-.]+(metal(?:lic|ness)?|met)(?![a-z])"
     r"|(?<![a-z])(ao|[orm])[\s_\-.]+(ao|[orm])[\s_\-.]+(ao|[orm])(?![a-z])"
 )
 _RESOLUTION = re.compile(r"\d+|\d+k|\d+x\d+|\d+px|jpe?g|png|exr|tiff?|tga|webp|lod\d|v\d+|bake\d*")

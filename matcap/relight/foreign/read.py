@@ -265,12 +265,12 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
 def _folders_of_maps(folder: Path) -> list[str]:
     """Names of the folders in a folder that hold pictures, the first three."""
     inside = sorted(one for one in folder.iterdir() if one.is_dir() and one.name[0] not in "._")
-    held = [
+    with_pictures = [
         one.name
         for one in inside[:_MOST_FOLDERS]
         if any(file.suffix.lower() in READ_SUFFIXES for file in one.iterdir())
     ]
-    return held[:3]
+    return with_pictures[:3]
 
 
 @dataclass
