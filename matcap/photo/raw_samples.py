@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Samples = NDArray[np.float32]
 JPEG_XL, _LOSSY_JPEG = 52546, 34892  # compressions
 TABLE, _REPEAT, BLACK, _BY_COLUMN, _BY_ROW, WHITE = 50712, 50713, 50714, 50715, 50716, 50717
 ACTIVE_AREA, _ROWS, _COLUMNS = 50829, 50975, 52547  # the last two: interleave factors
@@ -61,7 +60,7 @@ def unsupported_pattern(page: Any) -> str:  # noqa: ANN401
     return "" if size in _PATTERNS else " x ".join(map(str, size))
 
 
-def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> Samples:  # noqa: ANN401
+def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32]:  # noqa: ANN401
     """(H, W) or (H, W, C) samples of the active area; black is 0, white 1 (DNG 1.7.1, chapter 5).
 
     Raises:
@@ -122,7 +121,7 @@ class ValueMap:
     is_table: bool
     """Whether it is a table."""
 
-    def apply(self, samples: Samples) -> None:
+    def apply(self, samples: NDArray[np.float32]) -> None:
         """Map normalised samples (H, W, C) in place, clipped to [0, 1]."""
         top, left, bottom, right = self.area
         first, count = self.planes
