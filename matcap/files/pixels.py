@@ -156,6 +156,7 @@ _RGB = {"R": 0, "G": 1, "B": 2}
 # Integers of 32 bits are codes as well: 16 bits of them are kept.
 _READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "uint16"}
 _SIGNED = ("int8", "int16", "int", "int32")
+_LARGEST = 1e30  # values that matrices and means keep finite
 _MOST_PARTS = 64  # of an EXR that are looked at
 _ORIENTATION = 274  # a tag of Exif
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -255,10 +256,10 @@ def read_pixels(path: Path, *, outside: float | None = None, wanted: Sequence[st
         raise MatcapError.at(
             where, "there is not enough memory to read it", "free some memory or reduce the picture"
         ) from error
-    if not decoded.whole and not np.isfinite(decoded.stored).all():
+    if not decoded.whole and not np.abs(decoded.stored).max(initial=0.0) < _LARGEST:
         raise MatcapError.at(
             where,
-            "has values that are not finite (NaN or infinity)",
+            "has values that are not finite (NaN or infinity), or above 1e30",
             "replace them in a picture editor",
         )
     return decoded
@@ -331,11 +332,15 @@ def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[st
         )
     try:
         exr = source.format_name() == "openexr"
-        layer, notes = meant_layer(_parts(source) if exr else [source.spec()], wanted, str(path))
-        part = layer.part if exr else page.index
+        part = page.index
+        if exr:
+            layer, notes = meant_layer(_parts(source), wanted, str(path))
+            part = layer.part
         if not source.seek_subimage(part, 0):
             forget_error(source.geterror)
             raise _broken(path)
+        if not exr:
+            layer, notes = meant_layer([source.spec()], wanted, str(path))
         spec = source.spec()
         _check_size(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         _check_colours(path, str(spec.getattribute("tiff:ColorSpace") or ""))

@@ -87,10 +87,10 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
 
     def read(top: int, bottom: int) -> Rows:
         codes = coded.rows(top, bottom)
-        if not whole and not np.isfinite(codes).all():
+        if not whole and not np.abs(codes).max(initial=0.0) < _LARGEST:
             raise MatcapError.at(
                 where,
-                "the picture has values that are NaN or infinite",
+                "the picture has values that are NaN or infinite, or above 1e30",
                 "export it again without them",
             )
         light = linearise(codes)
@@ -184,6 +184,7 @@ _LOSSY_CLIP = 254.0 / 255.0
 # Pixels beyond which a JPEG is decoded at half size (DCT scaling), if that suffices.
 _LARGE = 100_000_000
 
+_LARGEST = 1e30  # values that matrices and means keep finite
 _WIDEST_META = 1 << 16  # first bytes of a HEIC or AVIF in which its items are searched
 _MODES = {"RGB", "RGBA", "RGBX", "L", "LA"}  # Pillow's modes that are read directly
 

@@ -404,6 +404,14 @@ def test_a_thumbnail_before_the_picture_is_passed_over(tmp_path):
     assert pixels.stored.min() == 200
 
 
+def test_a_thumbnail_s_channels_are_not_the_picture_s(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(np.zeros((12, 12, 3), np.uint8), photometric="rgb", subfiletype=1)
+        file.write(np.full((96, 96), 200, np.uint8), photometric="minisblack")
+    pixels = read_pixels(tmp_path / "a.tif")
+    assert pixels.grey and pixels.colours().shape == (96, 96, 3)
+
+
 def test_of_pages_of_one_size_the_first_is_read_and_noted(tmp_path):
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         for value in (10, 200):
