@@ -156,7 +156,7 @@ _RGB = {"R": 0, "G": 1, "B": 2}
 # Integers of 32 bits are codes as well: 16 bits of them are kept.
 _READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "uint16"}
 _SIGNED = ("int8", "int16", "int", "int32")
-_LARGEST = 1e30  # values that matrices and means keep finite
+_LARGEST = 1e37  # values that matrices of colours keep finite
 _MOST_PARTS = 64  # of an EXR that are looked at
 _ORIENTATION = 274  # a tag of Exif
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -256,10 +256,10 @@ def read_pixels(path: Path, *, outside: float | None = None, wanted: Sequence[st
         raise MatcapError.at(
             where, "there is not enough memory to read it", "free some memory or reduce the picture"
         ) from error
-    if not decoded.whole and not np.abs(decoded.stored).max(initial=0.0) < _LARGEST:
+    if not decoded.whole and not np.isfinite(decoded.stored).all():
         raise MatcapError.at(
             where,
-            "has values that are not finite (NaN or infinity), or above 1e30",
+            "has values that are not finite (NaN or infinity)",
             "replace them in a picture editor",
         )
     return decoded
@@ -506,8 +506,13 @@ def linear_colours(
         return colours, ("The file's primaries span no colour space: Rec.709 assumed.",)
     if matrix is None:
         return colours, ()
-    turned = colours @ matrix.T.astype(np.float32)
+    turned = _bounded(colours) @ matrix.T.astype(np.float32)
     return turned, ("Colours converted from the file's primaries to Rec.709.",)
+
+
+def _bounded(colours: NDArray[Any]) -> NDArray[np.float32]:
+    """Colours that no matrix of colours makes infinite."""
+    return np.asarray(np.clip(colours, -_LARGEST, _LARGEST), np.float32)
 
 
 def _from_space(
@@ -523,7 +528,7 @@ def _from_space(
     if space.curves[0] is not linear:
         light = np.stack([space.curves[c](light[..., c]) for c in range(3)], axis=-1)
     if space.matrix is not None:
-        light = light @ space.matrix.T.astype(np.float32)
+        light = _bounded(light) @ space.matrix.T.astype(np.float32)
     notes = () if space is LINEAR else (f"Colours converted from {whose} {space.name} to Rec.709.",)
     return np.asarray(light, np.float32), notes
 
