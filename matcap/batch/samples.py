@@ -83,7 +83,8 @@ def find_samples(
 
     Subfolders are searched, but for hidden ones, links, thumbnails (@eaDir and the like) and
     outputs of batches. Pictures of map sets and captures are no photographs. If a folder has a RAW
-    and a JPEG of one shot (the same stem, or Pixel phones' names), the RAW is used.
+    and a JPEG of one shot (the same stem, or Pixel phones' names), the RAW is used. Photographs
+    on their own that are exposures of one place, taken within seconds, are one sample.
 
     Args:
         group: photographs of one folder that are one sample: "none": each is its own; "name":
@@ -115,7 +116,10 @@ def find_samples(
         elif group == "time":
             runs = _runs(shots, gap, taken or taken_at)
         else:
-            runs = _by_name(shots) if group == "name" else _bracketed(shots, taken, brackets)
+            runs = _by_name(shots) if group == "name" else [[shot] for shot in shots]
+            single = [run[0] for run in runs if len(run) == 1]
+            runs = [run for run in runs if len(run) > 1] + _bracketed(single, taken, brackets)
+            runs.sort(key=lambda run: run[0][0])
         for run in runs:
             photos = tuple(photo for photo, _ in run)
             if group == "dir":
@@ -223,7 +227,7 @@ def _bracketed(
         by_path = {shot[0]: shot for shot in run}
         groups = brackets(list(by_path)) if len(run) > 1 else [tuple(by_path)]
         every += [[by_path[path] for path in group] for group in groups]
-    return sorted(every, key=lambda run: run[0][0])
+    return every
 
 
 def _by_name(shots: Sequence[_Shot]) -> list[list[_Shot]]:

@@ -42,7 +42,7 @@ from matcap.photo.photo import (
     Photo,
     ToneCurve,
 )
-from matcap.photo.response import Ratio, Tones, fit_ratio
+from matcap.photo.response import ExposureRatio, Tones, UsableTones, fit_ratio
 
 Picture = NDArray[np.float32]
 Matrix = NDArray[np.float64]
@@ -62,7 +62,10 @@ _LEAST_TILES, _LEAST_AGREEING = 10, 0.4  # number, and share, of tiles that agre
 _SAME_SHAPE = 0.02  # difference of heights over the width
 _LEVEL = 128.0  # of normalised contrast, where there is none
 _DARKEST_CODES = 6.0  # steps of 8-bit codes, below which developed values are not compared
-_SAME_LIGHT = 0.15  # largest standard deviation of log ratio by tone; a room's light has more
+# Largest difference of log light by tone, and median by pixel; a room's light has more.
+_SAME_LIGHT, _SAME_PIXELS = 0.15, 0.3
+_NOISY = 2.0  # pixels, standard deviation of a blur against noise
+_FEWEST_LIT = 200  # pixels that both measure
 _BRIGHTEST = 0.9  # of the clip level, above which values are not compared
 _FADES = (0.8, FULL)  # of the clip level: weight falls to 0 between these
 _SPREAD = 1.5  # pixels, standard deviation of the blur of clipping
@@ -138,6 +141,8 @@ class _Aligned:
     """(H, W, 3) its values, resampled."""
     usable: NDArray[np.bool_]
     """(H, W, 3) inside of it and not clipped."""
+    inside: NDArray[np.bool_]
+    """(H, W) inside of it."""
     noise: Picture | None
     """(H, W, 3) its noise, resampled."""
 
@@ -179,6 +184,23 @@ class Bracket:
         """(H, W, 3) light by one photograph, in units of the longest exposure's white."""
         values = self.curves[number].linear(self.views[number].pixels)
         return np.asarray(np.float32(self.factors[number]) * values, np.float32)
+
+    def disagreement(self) -> float:
+        """Largest median |log ratio| of light, by what both measure, of neighbours in exposure."""
+        order = np.argsort(self.factors, kind="stable").tolist()
+        worst = 0.0
+        for one, other in zip(order, order[1:], strict=False):
+            both = (self.views[one].usable & self.views[other].usable).all(axis=2)
+            first, second = (
+                cv2.GaussianBlur(self.light(k).mean(axis=2), (0, 0), _NOISY)[both]
+                for k in (one, other)
+            )
+            lit = second > self.factors[other] * self.views[other].faintest
+            if lit.sum() < _FEWEST_LIT:
+                return math.inf
+            ratio = np.log(np.maximum(second[lit], 1e-9) / np.maximum(first[lit], 1e-9))
+            worst = max(worst, float(np.median(np.abs(ratio))))
+        return worst
 
     def merged(self) -> Photo:
         """One photograph of their radiance, in units of the longest exposure's white."""
@@ -249,7 +271,7 @@ class Bracket:
 
 
 def _agreement(light: Picture, total: Picture, weights: Picture) -> Picture:
-    """(H, W, 1) 1 where light agrees with what longer exposures measure, or they do not, else 0."""
+    """(H, W, 3) 1 where light agrees with what longer exposures measure, or they do not, else 0."""
     both = (weights > 0.0) & (light > 0.0)
     known = np.maximum(total, 1e-6) / np.maximum(weights, 1e-30)
     ratio = np.where(both, np.log(np.maximum(light, 1e-6)) - np.log(np.maximum(known, 1e-6)), 0.0)
@@ -258,7 +280,7 @@ def _agreement(light: Picture, total: Picture, weights: Picture) -> Picture:
         for each in (ratio, both)
     )
     moved = (of > 1e-3) & (np.abs(around) > _DEVIATES * np.maximum(of, 1e-3))
-    return np.asarray(~moved, np.float32)[..., None]
+    return np.where(both, np.asarray(~moved, np.float32)[..., None], np.float32(1.0))
 
 
 def aligned_bracket(photos: Sequence[Photo]) -> Bracket | None:
@@ -284,10 +306,12 @@ def aligned_bracket(photos: Sequence[Photo]) -> Bracket | None:
             return None
         factors[darker] = factors[brighter] / ratio.darker
         curve = curve or ratio.curve
-    curves = (ToneCurve() if v.tones.linear else curve or ToneCurve() for v in views)
-    return Bracket(
-        tuple(views), tuple(factors[number] for number in range(len(views))), tuple(curves)
+    bracket = Bracket(
+        tuple(views),
+        tuple(factors[number] for number in range(len(views))),
+        tuple(ToneCurve() if v.tones.linear else curve or ToneCurve() for v in views),
     )
+    return bracket if bracket.disagreement() < _SAME_PIXELS else None
 
 
 def merge_bracket(photos: Sequence[Photo]) -> Photo:
@@ -347,12 +371,12 @@ def _refined(
         usable = strength > _LEAST_CORRELATION
         if usable.sum() < _LEAST_TILES:
             return warp, 0
-        found, kept = cv2.findHomography(
+        change, kept = cv2.findHomography(
             middles[usable], (middles + shifts)[usable], cv2.RANSAC, _INLIER
         )
-        if found is None:
+        if change is None:
             return warp, 0
-        warp, count = warp @ found, int(kept.sum())
+        warp, count = warp @ change, int(kept.sum())
     return warp, count
 
 
@@ -430,7 +454,9 @@ def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
 
 def _itself(photo: Photo) -> _Aligned:
     usable = ~_spread_clipping(photo)[..., None].repeat(3, 2)
-    return _Aligned(photo, photo.pixels, usable, photo.noise)
+    return _Aligned(
+        photo, photo.pixels, usable, np.ones(photo.clipped.shape, np.bool_), photo.noise
+    )
 
 
 def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...]) -> _Aligned:
@@ -452,9 +478,10 @@ def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...]) -> _Ali
     pixels = np.maximum(seen(photo.pixels, cv2.INTER_CUBIC), 0.0)
     clipped = seen(_spread_clipping(photo).astype(np.float32), cv2.INTER_LINEAR) > 0.01
     inside = seen(np.ones(photo.clipped.shape, np.float32), cv2.INTER_LINEAR, cv2.BORDER_CONSTANT)
-    usable = ~clipped & (inside > 0.99)
+    within = inside > 0.99
+    usable = ~clipped & within
     noise = None if photo.noise is None else seen(photo.noise, cv2.INTER_CUBIC)
-    return _Aligned(photo, pixels, usable[..., None].repeat(3, 2), noise)
+    return _Aligned(photo, pixels, usable[..., None].repeat(3, 2), within, noise)
 
 
 def _spread_clipping(photo: Photo) -> NDArray[np.bool_]:
@@ -463,18 +490,22 @@ def _spread_clipping(photo: Photo) -> NDArray[np.bool_]:
     return np.asarray(blurred > 0.05)
 
 
-def _ratio(brighter: _Aligned, darker: _Aligned, curve: ToneCurve | None) -> Ratio | None:
+def _ratio(brighter: _Aligned, darker: _Aligned, curve: ToneCurve | None) -> ExposureRatio | None:
     """The ratio of exposures of two photographs, by the pixels that both show.
 
     `curve` is that of all that are not linear, if it is known.
     """
-    both = (brighter.usable & darker.usable).all(axis=2)
-    y, z = (cv2.GaussianBlur(view.grey, (0, 0), 2.0) for view in (brighter, darker))
-    both &= (y > brighter.faintest) & (z > darker.faintest)
-    both &= brighter.pixels.max(axis=2) < _BRIGHTEST * brighter.photo.headroom
-    values = [np.asarray(grey[both], np.float64) for grey in (y, z)]
+    inside = brighter.inside & darker.inside
+    # Not blurred: a blur carries clipped sparkles into what is not clipped.
+    values = [np.asarray(view.pixels[inside], np.float64) for view in (brighter, darker)]
+    limits = [brighter.faintest, _BRIGHTEST * min(brighter.photo.headroom, 1e30), darker.faintest]
     tones = [view.tones for view in (brighter, darker)]
     if curve is not None:
+        of = (0, 0, 1)
+        limits = [
+            limit if tones[k].linear else float(curve.linear(np.array(limit)))
+            for k, limit in zip(of, limits, strict=True)
+        ]
         values = [
             each if tone.linear else np.asarray(curve.linear(each))
             for each, tone in zip(values, tones, strict=True)
@@ -483,4 +514,4 @@ def _ratio(brighter: _Aligned, darker: _Aligned, curve: ToneCurve | None) -> Rat
     stated = None
     if brighter.photo.exposure is not None and darker.photo.exposure is not None:
         stated = darker.photo.exposure / brighter.photo.exposure
-    return fit_ratio(values[0], values[1], (tones[0], tones[1]), stated)
+    return fit_ratio(values[0], values[1], (tones[0], tones[1]), stated, UsableTones(*limits))

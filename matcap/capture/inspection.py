@@ -23,6 +23,7 @@ from matcap.capture.verdict.causes import highlight_profile
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point
+from matcap.flash.highlight import limit_sparkles
 from matcap.flash.light import FlashLight, uniform_radiance
 from matcap.flash.rectify import Plane, picture_of, read_plane
 from matcap.photo.checks import CHECKS, Finding, Rating
@@ -81,6 +82,7 @@ def photograph_quality(photo: Photo) -> Inspection:
 
 def _rectified(photo: Photo) -> tuple[Photo, CoarseFit, Plane]:
     """The photograph with its tone curve undone, its coarse fit, and its plane."""
+    photo = limit_sparkles(photo)
     coarse = fit_photograph(photo)
     photo = photo.linearised(coarse.tone)
     return photo, coarse, read_plane(photo, coarse.setup, photo.pixels.shape[1])

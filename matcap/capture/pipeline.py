@@ -35,6 +35,7 @@ from matcap.capture.settings import (
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Material
 from matcap.files.process import postponed
+from matcap.flash.highlight import limit_sparkles
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
 from matcap.photo.photo import SHORTEST_SIDE, Photo
@@ -227,6 +228,7 @@ def _rectified(
         MatcapError: the plane is shorter than SHORTEST_SIDE texels.
     """
     with clock.stage("coarse fit"):
+        photo = limit_sparkles(photo)
         coarse = fit_photograph(photo, measured=method.measured_tilt)
         photo = photo.linearised(coarse.tone)
         rectified = Rectified.of(photo, coarse, settings.detail_of(max(photo.pixels.shape)))

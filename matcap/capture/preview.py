@@ -38,6 +38,7 @@ _TITLE = 46  # pixels
 _VERDICT_WIDTH = 150  # characters of the verdict in a line
 # sRGB code values.
 _INK, _TITLE_INK, _PAPER = (225, 225, 225), (255, 255, 255), (24, 24, 24)
+_HATCH, _HATCH_INK = 12, (110, 110, 110)  # pixels between lines
 _RATED = {
     Rating.GOOD: (111, 207, 143),
     Rating.USABLE: (225, 225, 225),
@@ -61,24 +62,43 @@ class Panel:
     """Function from values to code values in [0, 1], applied after averaging."""
     close: NDArray[np.float32] | None = None
     """The crop at one pixel per texel, where `values` have fewer."""
+    hidden: NDArray[np.bool_] | None = None
+    """(H, W) of every texel: what the photograph does not show, which is hatched."""
 
     def resized(self, size: tuple[int, int]) -> Image.Image:
         """The whole picture at a size of (width, height) pixels."""
         import cv2
 
         way = cv2.INTER_AREA if size[0] <= self.values.shape[1] else cv2.INTER_NEAREST
-        return self._image(np.asarray(cv2.resize(self.values, size, interpolation=way), np.float32))
+        image = self._image(
+            np.asarray(cv2.resize(self.values, size, interpolation=way), np.float32)
+        )
+        if self.hidden is None:
+            return image
+        hidden = cv2.resize(self.hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        return hatched(image, hidden > 0)
 
     def crop(self) -> Image.Image:
         """Crop at one pixel per texel, at a quarter of the width, next to the highlight."""
-        if self.close is not None:
-            return self._image(self.close)
         height, width = self.values.shape[:2]
-        return self._image(self.values[_crop(width, height)])
+        close = self.values[_crop(width, height)] if self.close is None else self.close
+        image = self._image(close)
+        if self.hidden is None:
+            return image
+        return hatched(image, self.hidden[_crop(self.hidden.shape[1], self.hidden.shape[0])])
 
     def _image(self, values: NDArray[np.float32]) -> Image.Image:
         code = np.rint(np.clip(self.code(values), 0.0, 1.0) * 255.0)
         return Image.fromarray(code.astype(np.uint8)).convert("RGB")
+
+
+def hatched(image: Image.Image, where: NDArray[np.bool_]) -> Image.Image:
+    """A picture with diagonal lines in place of some of its pixels (H, W)."""
+    pixels = np.array(image)
+    row, column = np.nonzero(where)
+    line = ((row + column) % _HATCH < _HATCH // 4)[:, None]
+    pixels[row, column] = np.where(line, _HATCH_INK, _PAPER)
+    return Image.fromarray(pixels)
 
 
 def _crop(width: int, height: int) -> tuple[slice, slice]:
@@ -160,7 +180,7 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Panels of a material, over a rectangle as large as the photograph."""
-    yield _developed("photograph", result, result.rectified)
+    yield replace(_developed("photograph", result, result.rectified), hidden=_hidden(result))
     yield _developed("re-rendered", result, result.rerendered)
     yield relit("top", result.maps, result.rerendered, result.material.setup)
     yield from each_map(result.maps)
@@ -177,9 +197,17 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
     whole, close = _under_flash(maps, setup)
-    yield _developed("photograph", result, result.rectified)
-    yield _developed("re-rendered", result, whole, close)
-    yield from lit_panels(maps, whole, setup)
+    hidden = _hidden(result)
+    yield replace(_developed("photograph", result, result.rectified), hidden=hidden)
+    yield replace(_developed("re-rendered", result, whole, close), hidden=hidden)
+    for panel in lit_panels(maps, whole, setup):
+        yield replace(panel, hidden=hidden)
+
+
+def _hidden(result: CaptureResult) -> NDArray[np.bool_] | None:
+    """(H, W) texels that the photograph does not show, or None."""
+    kept = None if result.estimate is None else result.estimate.kept
+    return None if kept is None else ~kept
 
 
 def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:

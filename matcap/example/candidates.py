@@ -38,6 +38,7 @@ _WEIGHTS = (1.0, 1.0, 1.0, 0.7, 1.0, 1.0, 1.0, 0.5)
 FeatureMap = NDArray[np.int16]
 
 PLANES = 8
+SLOPES = slice(5, 7)  # planes of the slopes along x and down
 LIMIT = 127  # largest magnitude of a feature
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from matcap.example.index import Frame, Level, Lookup, two_phases
 from matcap.example.lattice import PhasedLattice, Phases, cells_of
 from matcap.example.library import address, hash_places, loops
-from matcap.example.patches import Axis, cheapest, inset, lay_patches
+from matcap.example.patches import Axis, inset, lay_patches
+from matcap.example.placement import PatchNumbers, spread_patches
 from matcap.field.plane import Integers, Period, Rectangle
 
 # Correction of synthesised coordinates [lefebvre2005] with k-coherence candidates [tong2002].
@@ -184,12 +185,7 @@ def initial_places(
     if lookup.lattice is not None:
         place_x, place_y = _ordered(lookup, lookup.lattice, seed, x, y, period)
     elif lookup.sizes.loose:
-        side = lookup.sizes.width
-        hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
-        # The frame is inset so that a patch around its centre stays inside.
-        best_x, best_y = cheapest(level, hashes, inset(level.frame, side // 2, side // 2))
-        place_x = best_x + x % side - side // 2
-        place_y = best_y + (y % side - side // 2)[:, None]
+        place_x, place_y = _loose(lookup, seed, x, y, period)
     else:
         along_x, along_y = period or (None, None)
         frame, sizes = lookup.joined, lookup.sizes
@@ -201,8 +197,32 @@ def initial_places(
                 Axis.of(x, min(sizes.width, wide), along_x),
                 Axis.of(y, min(sizes.height, high), along_y),
             )
-        place_x, place_y = lay_patches(level, depth, seed, frame, axes)
+        place_x, place_y = lay_patches(level, lookup.placement, depth, seed, frame, axes)
     return _clamped(np.stack([place_x, place_y], axis=-1), level.frame)
+
+
+def _loose(
+    lookup: Lookup, seed: int, x: Integers, y: Integers, period: Period | None
+) -> tuple[Integers, Integers]:
+    """Places x, y of square patches that are not fitted to their neighbours."""
+    depth, level, placement = len(lookup.levels) - 1, lookup.levels[-1], lookup.placement
+    side = lookup.sizes.width
+    # The frame is inset so that a patch around its centre stays inside.
+    within = inset(level.frame, side // 2, side // 2)
+    if placement.rule == 1:
+        hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
+        best_x, best_y = placement.cheapest(hashes, within)
+    else:
+        columns, rows = (
+            PatchNumbers(np.unique(at // side), along and -(-along // side), side)
+            for at, along in zip((x, y), period or (None, None), strict=True)
+        )
+        centres = spread_patches(placement, seed, depth, within, (columns, rows))
+        shown = np.ix_(
+            np.searchsorted(rows.numbers, y // side), np.searchsorted(columns.numbers, x // side)
+        )
+        best_x, best_y = (at[shown] for at in centres)
+    return best_x + x % side - side // 2, best_y + (y % side - side // 2)[:, None]
 
 
 def _ordered(
@@ -221,7 +241,8 @@ def _ordered(
         wide, high = (round(side) for side in lattice.patch_extent(together))
     cells = cells_of(lattice, seed, x, y, period or (None, None), together)
     hashes = hash_places(seed, depth, cells.column, cells.row)
-    best_x, best_y = cheapest(level, hashes, inset(level.frame, wide // 2, high // 2))
+    within = inset(level.frame, wide // 2, high // 2)
+    best_x, best_y = lookup.placement.cheapest(hashes, within)
     centres = cells.middle_x, cells.middle_y
     best_x, best_y = _in_phase(lattice, seed, (best_x, best_y), centres, period)
     places = best_x + x - cells.middle_x, best_y + y[:, None] - cells.middle_y

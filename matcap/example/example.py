@@ -29,6 +29,7 @@ from matcap.example.blend import (
 from matcap.example.coordinates import Places, coordinates, initial_places
 from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.index import (
+    Frame,
     Index,
     Lookup,
     PatchSizes,
@@ -108,18 +109,23 @@ class Example:
 
     @staticmethod
     def of_rounded(
-        exemplar: Exemplar, waves: tuple[Frequency, ...] = (), *, straight: bool = False
+        exemplar: Exemplar,
+        waves: tuple[Frequency, ...] = (),
+        *,
+        straight: bool = False,
+        part: Frame | None = None,
     ) -> Example:
         """Index an exemplar that is rounded as in a file; arguments and errors of `of`.
 
-        With `straight`, waves are exact and the lattice has no bend.
+        With `straight`, waves are exact and the lattice has no bend; fields show only a `part`.
         """
         bits = detail_bits(exemplar)
         coarse = coarsened(exemplar, bits)
-        if not level_count(*coarse.size):
+        part = part and part.halved(bits)
+        if not level_count(*(part or Frame.of(*coarse.size)).size):
             raise ValueError(f"an exemplar of {exemplar.size} texels")
         scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
-        return Example(exemplar, build_index(coarse, scaled, straight=straight))
+        return Example(exemplar, build_index(coarse, scaled, straight=straight, part=part))
 
     @property
     def alignment(self) -> int:
@@ -175,9 +181,9 @@ class Example:
         # Imports OpenCV, which takes a tenth of a second and only tiles need.
         from matcap.example.repeat import repeated
 
-        exemplar, lattice = self.exemplar, self.index.lattice
+        exemplar, lattice, part = self.exemplar, self.index.lattice, self.index.part
         bits = detail_bits(exemplar)
-        box = known_part(exemplar, 1 << (GRID + bits))
+        box = known_part(exemplar, 1 << (GRID + bits), part and part.enlarged(bits))
         rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
         within = lattice and lattice.cropped(box.x >> bits, box.y >> bits)
         maps = exemplar.stacked()[:, rows, columns]
@@ -343,7 +349,7 @@ def patch_sizes(example: Example) -> PatchSizes:
     """Sizes of the patches of an example's coarsest level, in texels of its grid of places."""
     bits, depth = detail_bits(example.exemplar), len(example.index.bases) - 1
     width, height = (side >> bits for side in example.exemplar.size)
-    frame = frame_of(depth, width, height)
+    frame = frame_of(depth, example.index.part or Frame.of(width, height))
     lattice = kept_lattice(example.index, example.variety)
     return PatchSizes.of(frame, 1 << depth, lattice, example.variety)
 
@@ -373,9 +379,16 @@ def _coarser(period: Period | None, bits: int) -> Period | None:
     )
 
 
-def known_part(exemplar: Exemplar, multiple: int) -> Rectangle:
-    """Bounding rectangle of the texels with any confidence; x and y are rounded up to multiples."""
+def known_part(exemplar: Exemplar, multiple: int, part: Frame | None = None) -> Rectangle:
+    """Bounding rectangle of the texels with any confidence in a part; None for all.
+
+    x and y are rounded up to multiples.
+    """
     known = exemplar.confidence.max(axis=0) > 0.0
+    if part is not None:
+        within = np.zeros_like(known)
+        within[part.top : part.bottom + 1, part.left : part.right + 1] = True
+        known &= within
     if not known.any():
         return Rectangle(0, 0, *exemplar.size)
     rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -32,6 +32,7 @@ from matcap.example.candidates import (
     project,
     smoothed,
 )
+from matcap.example.evenness import trend_penalty
 from matcap.example.exemplar import Exemplar, pack, unpack
 from matcap.example.lattice import (
     GRID,
@@ -41,6 +42,7 @@ from matcap.example.lattice import (
     Phases,
     measure_lattice,
 )
+from matcap.example.placement import RULE, Placement
 
 # Grids of the synthesis levels, and the frame that places are limited to.
 
@@ -60,11 +62,31 @@ class Frame:
     right: int
     bottom: int
 
+    @staticmethod
+    def of(width: int, height: int) -> Frame:
+        """All texels of an exemplar of this size."""
+        return Frame(0, 0, width - 1, height - 1)
 
-def frame_of(level: int, width: int, height: int) -> Frame:
-    """The frame of a level's places, for an exemplar of this size."""
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.right - self.left + 1, self.bottom - self.top + 1
+
+    def enlarged(self, bits: int) -> Frame:
+        """Its texels of 2^-bits times the side."""
+        right, bottom = (self.right + 1 << bits) - 1, (self.bottom + 1 << bits) - 1
+        return Frame(self.left << bits, self.top << bits, right, bottom)
+
+    def halved(self, bits: int) -> Frame:
+        """The texels of 2^bits times the side that lie within it."""
+        left, top = -(-self.left >> bits), -(-self.top >> bits)
+        return Frame(left, top, (self.right + 1 >> bits) - 1, (self.bottom + 1 >> bits) - 1)
+
+
+def frame_of(level: int, part: Frame) -> Frame:
+    """The frame of a level's places, for the part of an exemplar that may be shown."""
     margin = _MARGIN << level
-    return Frame(margin, margin, width - 1 - margin, height - 1 - margin)
+    return Frame(part.left + margin, part.top + margin, part.right - margin, part.bottom - margin)
 
 
 def level_count(width: int, height: int) -> int:
@@ -188,6 +210,7 @@ _DOUBTED = 0.35  # confidence below that quantile at which the penalty is larges
 _FREE = 0.5
 
 _MOST = 255
+_KNOWN = 30  # penalty below which a place is compared with others
 
 
 @dataclass(frozen=True)
@@ -207,6 +230,10 @@ class Index:
     """Lattice of a regular texture, or None."""
     left_out: float
     """Share of the exemplar that stands out, such as stains."""
+    rule: int = RULE
+    """Version of the placement of patches (placement.py); older files have 1."""
+    part: Frame | None = None
+    """The part that fields may show, in texels of its grid; None for all."""
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors (bytes), and a description for JSON; the inverse of read()."""
@@ -221,6 +248,10 @@ class Index:
             "left_out": self.left_out,
             "waves": [],
         }
+        if self.rule > 1:
+            about["placement"] = self.rule
+        if self.part is not None:
+            about["part"] = [self.part.left, self.part.top, self.part.right, self.part.bottom]
         if self.lattice is not None:
             about["waves"] = [list(wave) for wave in self.lattice.waves]
             tensors["bends"] = pack(self.lattice.phase_offsets)
@@ -242,7 +273,8 @@ class Index:
         """
         width, height = size
         shifts = [int(shift) for shift in about["shifts"]]
-        if not 1 <= len(shifts) <= level_count(width, height):
+        part = _part(about["part"], width, height) if "part" in about else None
+        if not 1 <= len(shifts) <= level_count(*(part or Frame.of(width, height)).size):
             raise ValueError(f"{len(shifts)} levels of {width} x {height} texels")
         if not all(0 <= shift < 24 for shift in shifts):
             raise ValueError(f"shifts of {shifts}")
@@ -261,11 +293,17 @@ class Index:
             unpack(tensor("reluctance"), _shape(width, height, COST_BITS), np.uint8),
             _lattice(about["waves"], tensor, width, height),
             float(about["left_out"]),
+            _rule(about.get("placement", 1)),
+            part,
         )
 
 
 def build_index(
-    exemplar: Exemplar, waves: tuple[Frequency, ...], *, straight: bool = False
+    exemplar: Exemplar,
+    waves: tuple[Frequency, ...],
+    *,
+    straight: bool = False,
+    part: Frame | None = None,
 ) -> Index:
     """Compute the index of an exemplar.
 
@@ -273,15 +311,16 @@ def build_index(
         exemplar: on its grid of places, of at least 14 texels a side.
         waves: approximate frequency vectors of its lattice, cycles per texel; or none.
         straight: whether they are exact, of a lattice without a bend.
+        part: that fields may show, of at least 14 texels a side; None for all.
     """
-    width, height = exemplar.size
+    shown = part or Frame.of(*exemplar.size)
     planes = planes_of(exemplar)
     scale = choose_scale(planes)
     features = features_of(planes, scale)
     means = features.mean(axis=(1, 2), keepdims=True)
     centred = np.subtract(features, means, dtype=np.float32)
     lattice = measure_lattice(centred, waves, straight=straight)
-    count = level_count(width, height)
+    count = level_count(*shown.size)
     if lattice is not None:
         count = min(count, _ordered_levels(lattice))
     grids = grids_of(features, count)
@@ -289,9 +328,10 @@ def build_index(
     with ThreadPoolExecutor() as pool:
         bases = list(pool.map(choose_basis, grids, steps))
         appearances = list(pool.map(project, grids, bases))
-        candidates = list(pool.map(partial(_similar, width, height), range(count), appearances))
+        candidates = list(pool.map(partial(_similar, shown), range(count), appearances))
     outstanding = _outstanding(planes[:3].mean(axis=0))
     penalty = np.maximum(_low_confidence(exemplar), _MOST * outstanding)
+    penalty = np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
         for level, one in enumerate(candidates)
@@ -303,6 +343,7 @@ def build_index(
         penalty.astype(np.uint8),
         lattice,
         round(float(outstanding.mean()), 4),
+        part=part,
     )
 
 
@@ -311,11 +352,11 @@ def _ordered_levels(lattice: PhasedLattice) -> int:
     return max(1, math.floor(math.log2(lattice.patch_width() / _FINENESS)) + 1)
 
 
-def _similar(width: int, height: int, level: int, appearance: Appearance) -> Candidates:
+def _similar(part: Frame, level: int, appearance: Appearance) -> Candidates:
     """Candidates of a level, on its candidate grid."""
     bits = similar_bits(level)
     skip = 1 << (bits - grid_bits(level))
-    frame = frame_of(level, width, height)
+    frame = frame_of(level, part)
     allowed = (
         slice(-(-frame.top >> bits), (frame.bottom >> bits) + 1),
         slice(-(-frame.left >> bits), (frame.right >> bits) + 1),
@@ -390,6 +431,19 @@ def _check_places(places: NDArray[np.int16], width: int, height: int) -> None:
         raise ValueError(f"similar places beyond {width} x {height} texels")
 
 
+def _part(stated: list[int], width: int, height: int) -> Frame:
+    left, top, right, bottom = (int(edge) for edge in stated)
+    if not (0 <= left <= right < width and 0 <= top <= bottom < height):
+        raise ValueError(f"a part {stated} of {width} x {height} texels")
+    return Frame(left, top, right, bottom)
+
+
+def _rule(stated: int) -> int:
+    if stated not in (1, RULE):
+        raise ValueError(f"patches placed by rule {stated}")
+    return int(stated)
+
+
 def _floats(stated: list[float]) -> NDArray[np.float32]:
     values = np.array([float(value) for value in stated], np.float32)
     if values.shape != (PLANES,) or not bool((np.abs(values) < 1e9).all()):
@@ -461,6 +515,33 @@ class Lookup:
     """Sizes of the coarsest level's patches."""
     joined: Frame
     """The part of its frame of which opposite borders adjoin."""
+    placement: Placement
+    """Costs of the centres of its patches."""
+
+    def sized(self, sizes: PatchSizes) -> Lookup:
+        """The tables of patches of other sizes."""
+        placement = _placement(self.levels[-1], self.lattice, sizes, self.joined, self.rule)
+        return replace(self, sizes=sizes, placement=placement)
+
+    @property
+    def rule(self) -> int:
+        """Version of the placement of patches."""
+        return self.placement.rule
+
+
+def _placement(
+    coarsest: Level,
+    lattice: PhasedLattice | None,
+    sizes: PatchSizes,
+    joined: Frame,
+    rule: int,
+) -> Placement:
+    sides = sizes.width, sizes.height
+    if lattice is not None:
+        wide, high = lattice.patch_extent(sizes.cells)
+        sides = round(wide), round(high)
+    loose = sizes.loose or lattice is not None
+    return Placement.of(coarsest.placement_cost, rule, sides, None if loose else joined)
 
 
 def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
@@ -471,7 +552,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
         index: of the exemplar.
         variety: in [0, 1].
     """
-    width, height = exemplar.size
+    part = index.part or Frame.of(*exemplar.size)
     features = features_of(planes_of(exemplar), index.scale)
     grids = grids_of(features, len(index.bases))
     with ThreadPoolExecutor() as pool:
@@ -481,7 +562,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     levels = tuple(
         Level(
             spacing=1 << level,
-            frame=frame_of(level, width, height),
+            frame=frame_of(level, part),
             bits=grid_bits(level),
             appearance=appearance,
             similar_bits=similar_bits(level),
@@ -492,7 +573,9 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
         for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
     )
     sizes = PatchSizes.of(levels[-1].frame, levels[-1].spacing, lattice, variety)
-    return Lookup(levels, lattice, sizes, _joined_frame(levels[-1]))
+    joined = _joined_frame(levels[-1])
+    placement = _placement(levels[-1], lattice, sizes, joined, index.rule)
+    return Lookup(levels, lattice, sizes, joined, placement)
 
 
 def kept_lattice(index: Index, variety: float) -> PhasedLattice | None:

@@ -18,21 +18,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.index import (
-    COST_BITS,
-    Frame,
-    Level,
-)
+from matcap.example.index import Frame, Level
 from matcap.example.library import (
     Hashes,
-    draw,
     hash_places,
 )
+from matcap.example.placement import Placement, drawn, reuse_cost
 from matcap.field.plane import Integers
 
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
-_DRAWS = 4  # random places of which the one of least placement cost is taken
-_FITTED = 24  # random places of which the one that fits its neighbours best is taken
 _ALONG = 32  # most places along a border at which patches are compared
 
 
@@ -66,12 +60,18 @@ class Axis:
 
 
 def lay_patches(
-    level: Level, depth: int, seed: int, frame: Frame, axes: tuple[Axis, Axis]
+    level: Level,
+    placement: Placement,
+    depth: int,
+    seed: int,
+    frame: Frame,
+    axes: tuple[Axis, Axis],
 ) -> tuple[Integers, Integers]:
     """(rows, columns) x, y of the exemplar that each position shows.
 
     Args:
         level: the coarsest.
+        placement: costs of the patches' centres.
         depth: its number.
         seed: in [-2^63, 2^63).
         frame: of the places, whose opposite borders adjoin (Lookup.joined).
@@ -80,7 +80,8 @@ def lay_patches(
     across, down = axes
     columns, rows = _with_neighbours(across), _with_neighbours(down)
     hashes = hash_places(seed, depth, columns[None, :], rows[:, None])
-    x, y = cheapest(level, hashes, frame)
+    x, y = placement.cheapest(hashes, frame)
+    sides = across.side, down.side
     odd_columns, odd_rows = np.flatnonzero(columns % 2), np.flatnonzero(rows % 2)
     even_columns, even_rows = np.flatnonzero(columns % 2 == 0), np.flatnonzero(rows % 2 == 0)
 
@@ -100,7 +101,7 @@ def lay_patches(
             other = np.searchsorted(numbers, wanted)
             there = np.ix_(some_rows, other) if along_x else np.ix_(other, some_columns)
             neighbours.append(_Neighbour(along_x, step, x[there], y[there]))
-        x[at], y[at] = _fitting(level, hashes[at], frame, neighbours, across.side, down.side)
+        x[at], y[at] = _fitting(level, placement, hashes[at], frame, neighbours, sides)
 
     fit(even_rows, odd_columns)
     fit(odd_rows, even_columns)
@@ -113,19 +114,6 @@ def lay_patches(
 def _within(at: Integers, first: int, last: int) -> Integers:
     """Positions modulo the length of [first, last], in it."""
     return first + (at - first) % (last - first + 1)
-
-
-def cheapest(level: Level, hashes: Hashes, frame: Frame) -> tuple[Integers, Integers]:
-    """For every hash, the place of least placement cost among _DRAWS random ones."""
-    x, y = _drawn(hashes, 0, frame)
-    best = _placement_cost(level, x, y)
-    for attempt in range(1, _DRAWS):
-        x_drawn, y_drawn = _drawn(hashes, attempt, frame)
-        cost = _placement_cost(level, x_drawn, y_drawn)
-        better = cost < best
-        x, y = np.where(better, x_drawn, x), np.where(better, y_drawn, y)
-        best = np.where(better, cost, best)
-    return x, y
 
 
 def inset(frame: Frame, by_x: int, by_y: int) -> Frame:
@@ -147,23 +135,30 @@ class _Neighbour:
     """Places at their centres."""
     y: Integers
 
+    def in_field(self, sides: tuple[int, int]) -> tuple[int, int]:
+        """x, y from their centres to those of the patches, of some width and height."""
+        return (-self.step * sides[0], 0) if self.along_x else (0, -self.step * sides[1])
+
 
 def _fitting(
     level: Level,
+    placement: Placement,
     hashes: Hashes,
     frame: Frame,
     neighbours: list[_Neighbour],
-    width: int,
-    height: int,
+    sides: tuple[int, int],
 ) -> tuple[Integers, Integers]:
-    """For every hash, the random place of least placement cost plus border mismatch."""
-    best_x, best_y = _drawn(hashes, 0, frame)
+    """For every hash, the random place of least placement cost, border mismatch and reuse."""
+    wrap = frame.right - frame.left + 1, frame.bottom - frame.top + 1
+    best_x, best_y = drawn(hashes, 0, frame)
     best = np.full(hashes.shape, np.iinfo(np.int64).max)
-    for attempt in range(_FITTED):
-        x, y = _drawn(hashes, attempt, frame)
-        cost = _placement_cost(level, x, y).astype(np.int64)
+    for attempt in range(placement.fitted):
+        x, y = drawn(hashes, attempt, frame)
+        cost = placement.at(x, y).astype(np.int64)
         for other in neighbours:
-            cost += _border_mismatch(level, frame, (x, y), other, width, height)
+            cost += _border_mismatch(level, frame, (x, y), other, *sides)
+            if placement.rule > 1:
+                cost += reuse_cost((x - other.x, y - other.y), other.in_field(sides), sides, wrap)
         better = cost < best
         best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
         best = np.where(better, cost, best)
@@ -196,18 +191,6 @@ def _border_mismatch(
     there = appearance_at(other.x[..., None] + back_x, other.y[..., None] + back_y)
     squares = np.square(here - there).sum(axis=-1, dtype=np.int64)
     return squares.sum(axis=-1) * 32 // len(along)
-
-
-def _drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:
-    """A random place within a frame for every hash."""
-    return (
-        frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1),
-        frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1),
-    )
-
-
-def _placement_cost(level: Level, x: Integers, y: Integers) -> NDArray[np.int32]:
-    return level.placement_cost[y >> COST_BITS, x >> COST_BITS]
 
 
 def _with_neighbours(axis: Axis) -> Integers:

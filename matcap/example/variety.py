@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,7 +179,7 @@ def _blocks(
 def _varied(lookup: Lookup, variety: float) -> Lookup:
     coarsest = lookup.levels[-1]
     sizes = PatchSizes.of(coarsest.frame, coarsest.spacing, lookup.lattice, variety)
-    return replace(lookup, sizes=sizes)
+    return lookup.sized(sizes)
 
 
 def _detrended(planes: Planes) -> Planes:

@@ -7,11 +7,13 @@ re-rendering is clipped at the photograph's level, so that both peaks are flatte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from matcap.photo.photo import Photo
 
 Luminance = NDArray[np.float64]
 
@@ -37,6 +39,11 @@ _OTHERS = ((0.5, 0.25), (0.25, 2.5))
 
 # Most standard deviation of the blur that removes texture from the elongation, plane units.
 _ELONGATION_BLUR = 0.03
+
+# Sparkles: samples across the long side, of which 5 x 5 give a local median, times that median
+# from which on light above white is one. A highlight whose half width is below the window of the
+# median, plane units, is exempt within so many of them.
+_SAMPLES, _SPARKLE, _EXEMPT, _NARROW = 256, 3.0, 1.5, 0.03
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,33 @@ def find_highlight(light: Luminance) -> Highlight | None:
         if spot is None or all(_others(blurred, spot, at) < most for at, most in _OTHERS):
             break
     return spot
+
+
+def limit_sparkles(photo: Photo) -> Photo:
+    """The photograph with lone sparkles as lower bounds, as a file that clips at white has them.
+
+    A fleck of metal or a bump that mirrors the flash is many times as bright as all around it.
+    Means over cells, rings and the picture, which the fits compare, would be the sparkles'. So
+    light above white that exceeds _SPARKLE times its local median is clipped there, but for a sharp
+    highlight.
+    """
+    if photo.headroom <= 1.0:
+        return photo
+    brightest = photo.pixels.max(axis=2)
+    height, width = brightest.shape
+    size = (min(width, _SAMPLES), max(8, round(min(width, _SAMPLES) * height / width)))
+    samples = cv2.resize(brightest, size, interpolation=cv2.INTER_NEAREST)
+    median = cv2.resize(cv2.medianBlur(samples, 5), (width, height))
+    limit = np.maximum(_SPARKLE * median, 1.0)
+    highlight = find_highlight(light_of(photo.pixels))
+    if highlight is not None and highlight.width < _NARROW:
+        u, v = (c - at for c, at in zip(_coordinates(brightest), highlight.centre, strict=True))
+        limit[np.hypot(u, v) < _EXEMPT * highlight.width] = np.inf
+    sparkles = brightest > limit
+    if not sparkles.any():
+        return photo
+    pixels = np.minimum(photo.pixels, limit[..., None])
+    return replace(photo, pixels=pixels, clipped=photo.clipped | sparkles)
 
 
 def elongation(light: Luminance, highlight: Highlight) -> float:

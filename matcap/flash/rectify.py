@@ -163,7 +163,7 @@ class Plane:
     channels: Tensor | None = None
     """(3, H, W) bool, the same by channel; None for `valid` in all channels."""
     left_out: Tensor | None = None
-    """(H, W) bool, masked texels, which are filled by mirrored ones; None without a mask."""
+    """(H, W) bool, texels masked or outside of the photograph, filled by mirrored ones, or None."""
     developed: bool = False
     """Whether the picture is developed (8-bit codes), not RAW or floating-point."""
     margins: Margins = Margins()
@@ -178,7 +178,7 @@ class Plane:
 
     @property
     def kept(self) -> Tensor:
-        """(H, W) bool: texels of the material; all without a mask."""
+        """(H, W) bool: texels of the material that the photograph shows."""
         return torch.ones_like(self.valid) if self.left_out is None else ~self.left_out
 
     @property
@@ -265,8 +265,8 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
     """
     linear, valid = rectify(photo, setup, detail)
     whole = plane_of(linear, valid, rectify_noise(photo, setup, detail), photo.headroom)
-    masked = photo.left_out is not None
-    left_out = ~torch.from_numpy(kept(photo, setup, detail)) if masked else None
+    shown = torch.from_numpy(inside(valid.shape, setup) & kept(photo, setup, detail))
+    left_out = None if bool(shown.all()) else ~shown
     return replace(
         whole,
         channels=measured(photo, setup, detail),

@@ -263,6 +263,34 @@ def _masked(mask: Path, width: int, height: int) -> Kept:
     return np.asarray(grey > _GREY)
 
 
+def largest_rectangle(kept: Kept) -> tuple[slice, slice]:
+    """Rows and columns of the largest rectangle of kept pixels, by squares of a 128th of a side.
+
+    For each row, the largest rectangle under the histogram of kept squares above it.
+    """
+    side = max(1, max(kept.shape) // 128)
+    rows, columns = (n // side for n in kept.shape)
+    whole = kept[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    heights = np.zeros(columns + 1, np.int64)
+    area, best = 0, (0, 0, 0, 0)
+    squares: Kept = np.asarray(whole.all(axis=(1, 3)), np.bool_)
+    for row, full in enumerate(squares):
+        heights[:-1] = np.where(full, heights[:-1] + 1, 0)
+        open_: list[int] = []
+        for column, height in enumerate(heights):
+            while open_ and heights[open_[-1]] >= height:
+                high = int(heights[open_.pop()])
+                left = open_[-1] + 1 if open_ else 0
+                if high * (column - left) > area:
+                    area, best = high * (column - left), (row + 1 - high, row + 1, left, column)
+            open_.append(column)
+    top, bottom, left, right = (edge * side for edge in best)
+    # The last rows and columns are no whole square.
+    bottom = kept.shape[0] if bottom == rows * side and kept[bottom:, left:right].all() else bottom
+    right = kept.shape[1] if right == columns * side and kept[top:bottom, right:].all() else right
+    return slice(top, bottom), slice(left, right)
+
+
 def mirrored(left_out: Kept) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """(H, W) rows and columns to read each pixel from: itself, or a mirrored one if left out.
 

@@ -4,10 +4,11 @@ Of a pixel with light x in the first and k x in the second, with k < 1 and the c
 
     log u_w(g(x)) - log u_w(g(k x)) = -c log k,    u_w(y) = y (1 - w) / (1 - w y) = x^c,
 
-whatever x is: the shoulder w is the one at which the left side is the same in all tones
-([debevec1997], with one curve of two numbers in place of a table). The exponent c is then known if
-k is, by exposure metadata; else it is the prior's and gives k. Of a curve g in one picture and
-linear light in the other, c and w follow from the pair alone.
+whatever x is, and g(x) and g(k x) have the same rank among the values of their channel. The
+shoulder w is the one at which the left side is the same in all tones ([debevec1997], with two
+numbers in place of a table). The exponent c is then known if k is, by exposure metadata; else
+it is the prior's and gives k. Of a curve g in one picture and linear light in the other, c and w
+follow from the pair alone.
 """
 
 from __future__ import annotations
@@ -27,16 +28,17 @@ Values = NDArray[np.float64]
 
 _SHOULDERS = np.linspace(0.0, 0.9, 37)
 _SHOULDER_DEVIATION = 0.3  # prior standard deviation of w
-_BINS = 24  # by the first picture's value, of equal width in its logarithm
-_FEWEST = 50  # pixels of a bin
-_LEAST_BINS = 4
-_BIN_DEVIATION = 0.02  # log; systematic error of a bin's mean
+_TONES = 32  # values compared, of equal steps in the logarithm of the brighter picture's
+_FEWEST = 50  # pixels of a picture, and twice those left out at either end
+_AROUND = 10  # ranks to either side that are averaged
+_LEAST_TONES = 5
+_TONE_DEVIATION = 0.02  # log; systematic error of a tone
 # Range of c; metadata that would need another is of no flash exposure and not used.
 _EXPONENTS = (0.85, 1.5)
 
 
 @dataclass(frozen=True)
-class Ratio:
+class ExposureRatio:
     """How a darker photograph relates to a brighter one of the same place."""
 
     darker: float
@@ -44,7 +46,7 @@ class Ratio:
     curve: ToneCurve | None
     """Curve of those that are not linear; None if both are."""
     residual: float
-    """Standard deviation of the log ratio of bins about the fit."""
+    """Root-mean-square of the log ratio of tones about the fit."""
 
 
 @dataclass(frozen=True)
@@ -57,62 +59,79 @@ class Tones:
     """Prior of its curve, if it is not linear."""
 
 
+@dataclass(frozen=True)
+class UsableTones:
+    """Values that are compared."""
+
+    least: float = 0.0
+    most: float = math.inf
+    """Limits of the brighter picture's."""
+    least_of_darker: float = 0.0
+    """Limit of the darker picture's, whose codes are coarse."""
+
+
 def fit_ratio(
-    brighter: Values, darker: Values, tones: tuple[Tones, Tones], stated: float | None
-) -> Ratio | None:
+    brighter: Values,
+    darker: Values,
+    tones: tuple[Tones, Tones],
+    stated: float | None,
+    usable: UsableTones | None = None,
+) -> ExposureRatio | None:
     """Fit the ratio of exposures, and curves if there are any; None with too few tones in common.
 
     Args:
-        brighter, darker: (n,) values of the same places, unclipped in both.
+        brighter, darker: (n, channels) values of the same places, clipped ones too, as their ranks
+            count.
         tones: what is known of each.
         stated: k by metadata, or None.
+        usable: tones that are compared; None for all.
     """
-    bins = _binned(brighter, darker)
-    if bins is None:
+    usable = usable or UsableTones()
+    channels = zip(brighter.T, darker.T, strict=True)
+    pairs = [pair for each in channels if (pair := _matched(*each, usable)) is not None]
+    if not pairs:
         return None
-    y, z, weight = bins
+    y, z = (np.concatenate(values) for values in zip(*pairs, strict=True))
     first, second = tones
     if first.linear and second.linear:
         steps = np.log(z) - np.log(y)
-        log_k = float(np.average(steps, weights=weight))
-        return Ratio(math.exp(log_k), None, _spread(steps - log_k, weight))
+        log_k = float(steps.mean())
+        return ExposureRatio(math.exp(log_k), None, _spread(steps - log_k))
     if first.linear or second.linear:
-        return _against_light(y, z, weight, tones)
-    held = min(first.prior.shoulder, second.prior.shoulder) == 0.0
+        return _against_light(y, z, tones)
+    straight = min(first.prior.shoulder, second.prior.shoulder) == 0.0
     best: tuple[float, float, float] | None = None
-    for w in [0.0] if held else _SHOULDERS:
+    for w in [0.0] if straight else _SHOULDERS:
         steps = _power(z, w) - _power(y, w)
-        mean = float(np.average(steps, weights=weight))
-        spread = _spread(steps - mean, weight)
-        cost = spread**2 + (_BIN_DEVIATION * (w - first.prior.shoulder) / _SHOULDER_DEVIATION) ** 2
+        mean = float(steps.mean())
+        spread = _spread(steps - mean)
+        cost = spread**2 + (_TONE_DEVIATION * (w - first.prior.shoulder) / _SHOULDER_DEVIATION) ** 2
         if best is None or cost < best[0]:
             best = cost, float(w), mean
     assert best is not None
     _, shoulder, mean = best
-    spread = _spread(_power(z, shoulder) - _power(y, shoulder) - mean, weight)
+    spread = _spread(_power(z, shoulder) - _power(y, shoulder) - mean)
     exponent = math.exp(first.prior.log_exponent)
     if stated is not None and 0.0 < stated < 1.0:
         implied = mean / math.log(stated)
         exponent = implied if _EXPONENTS[0] < implied < _EXPONENTS[1] else exponent
     curve = ToneCurve(exponent, shoulder)
-    return Ratio(math.exp(mean / exponent), curve, spread / exponent)
+    return ExposureRatio(math.exp(mean / exponent), curve, spread / exponent)
 
 
-def _against_light(
-    y: Values, z: Values, weight: Values, tones: tuple[Tones, Tones]
-) -> Ratio | None:
+def _against_light(y: Values, z: Values, tones: tuple[Tones, Tones]) -> ExposureRatio | None:
     """The ratio of a picture with a curve and one without, by regression for each shoulder."""
     curved_first = not tones[0].linear
     coded, light = (y, z) if curved_first else (z, y)
     prior = tones[0].prior if curved_first else tones[1].prior
     shoulders = [0.0] if prior.shoulder == 0.0 else _SHOULDERS
     best: tuple[float, float, float, float] | None = None
-    terms = np.stack([np.log(light), np.ones_like(light)], axis=1) * np.sqrt(weight)[:, None]
+    terms = np.stack([np.log(light), np.ones_like(light)], axis=1)
     for w in shoulders:
         power = _power(coded, w)
-        slope, offset = np.linalg.lstsq(terms, power * np.sqrt(weight), rcond=None)[0]
-        spread = _spread(power - slope * np.log(light) - offset, weight)
-        cost = spread**2 + (_BIN_DEVIATION * (w - prior.shoulder) / _SHOULDER_DEVIATION) ** 2
+        slope, offset = np.linalg.lstsq(terms, power, rcond=None)[0]
+        spread = _spread(power - slope * np.log(light) - offset)
+        cost = spread**2 + (_TONE_DEVIATION * (w - prior.shoulder) / _SHOULDER_DEVIATION) ** 2
         if slope > 0.0 and (best is None or cost < best[0]):
             best = cost, float(w), float(slope), float(offset)
     if best is None or not 0.5 < best[2] < 2.5:
@@ -122,7 +141,7 @@ def _against_light(
     log_more = offset / exponent
     curve = ToneCurve(exponent, shoulder)
     log_k = -log_more if curved_first else log_more
-    return Ratio(math.exp(log_k), curve, math.sqrt(cost) / exponent)
+    return ExposureRatio(math.exp(log_k), curve, math.sqrt(cost) / exponent)
 
 
 def _power(y: Values, shoulder: float) -> Values:
@@ -130,26 +149,27 @@ def _power(y: Values, shoulder: float) -> Values:
     return np.asarray(np.log(y) + math.log1p(-shoulder) - np.log1p(-shoulder * y))
 
 
-def _binned(brighter: Values, darker: Values) -> tuple[Values, Values, Values] | None:
-    """Means of both by bins of the brighter's logarithm, and weights; None with too few."""
+def _matched(brighter: Values, darker: Values, usable: UsableTones) -> tuple[Values, Values] | None:
+    """Values of the brighter picture, evenly spaced in their logarithm, and those of equal rank in
+    the darker one; None with too few.
+
+    Ranks need no registration, which sparkles and the flank of a highlight that moved would bias.
+    """
     if brighter.size < _FEWEST:
         return None
-    log = np.log(brighter)
-    low, high = np.quantile(log, [0.001, 0.9995])
-    place = np.clip((log - low) / max(high - low, 1e-9) * _BINS, 0, _BINS - 1e-6).astype(int)
-    count = np.bincount(place, minlength=_BINS).astype(np.float64)
-    # Medians, as few places that moved would shift a mean.
-    order = np.argsort(place, kind="stable")
-    ends = np.cumsum(count).astype(int)
-    parts = [order[end - int(n) : end] for end, n in zip(ends, count, strict=True)]
-    kept = [part for part in parts if len(part) >= _FEWEST]
-    if len(kept) < _LEAST_BINS:
+    y, z = np.sort(brighter), np.sort(darker)
+    low, high = max(usable.least, y[_FEWEST // 2]), min(usable.most, y[-_FEWEST // 2])
+    if not 0.0 < low < high:
         return None
-    y = np.array([np.median(brighter[part]) for part in kept])
-    z = np.array([np.median(darker[part]) for part in kept])
-    scatter = np.array([np.std(np.log(darker[part])) / math.sqrt(len(part)) for part in kept])
-    return y, z, 1.0 / (np.square(scatter) + _BIN_DEVIATION**2)
+    targets = np.geomspace(low, high, _TONES)
+    rank = np.searchsorted(y, targets).clip(_FEWEST // 2, y.size - _FEWEST // 2)
+    equal = np.array([z[r - _AROUND : r + _AROUND + 1].mean() for r in rank])
+    kept = equal > usable.least_of_darker
+    if kept.sum() < _LEAST_TONES:
+        return None
+    return targets[kept], equal[kept]
 
 
-def _spread(rest: Values, weight: Values) -> float:
-    return math.sqrt(float(np.average(np.square(rest), weights=weight)))
+def _spread(rest: Values) -> float:
+    """Root-mean-square."""
+    return math.sqrt(float(np.square(rest).mean()))

@@ -1,4 +1,37 @@
-"""The HTML document of the page, served or self-contained with its maps."""
+"""The HTML document of the page, served or self-contained with its maps.
+
+The page's scripts are modules. The served document links them as files. The self-contained one has
+them concatenated, in the order of SCRIPTS: each imports only from those before it, and no two
+define the same name.
+
+The element `about` is JSON; in a self-contained document its entries `tile` and `enclosed` are the
+maps below.
+
+Maps inside a self-contained document, which page/tile.js unpacks.
+
+The document's element `about` is JSON; its entry `tile` is a tile's maps, and its entry `enclosed`
+the exemplar, or null. Entries called `data` are base64 of zlib-compressed bytes.
+
+Tile:
+    size: (width, height) in texels.
+    specular_channels: 1, or 3 where F0 has a colour.
+    low: least height, plane units.
+    span: greatest height less the least.
+    data: 16-bit words, all low bytes before all high bytes: planes of diffuse (3), specular and
+        roughness as half floats, then height: low + word / 65535 * span. Diffuse and specular are
+        rounded to 8 of the 10 fraction bits, so that they compress better.
+
+Exemplar:
+    size: (width, height) in texels of the level.
+    level: texels are 2^level texels of the material wide.
+    diffuse: a JPEG as a data URL.
+    specular_channels: 1, or 3 where F0 has a colour.
+    low: least value of each specular channel, of roughness and of height. Roughness includes the
+        variance of normals within a texel.
+    span: greatest value of each less the least.
+    data: specular, then roughness, in 255 steps a byte, then low and high bytes of height in 65535
+        steps; each number is the difference from the one before.
+"""
 
 from __future__ import annotations
 
@@ -38,32 +71,6 @@ from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.example.exemplar import Exemplar
-
-
-# Maps inside a self-contained document, which page/tile.js unpacks.
-#
-# The document's element `about` is JSON; its entry `tile` is a tile's maps, and its entry
-# `enclosed` the exemplar, or null. Entries called `data` are base64 of zlib-compressed bytes.
-#
-# Tile:
-# size: (width, height) in texels.
-# specular_channels: 1, or 3 where F0 has a colour.
-# low: least height, plane units.
-# span: greatest height less the least.
-# data: 16-bit words, all low bytes before all high bytes: planes of diffuse (3), specular and
-# roughness as half floats, then height: low + word / 65535 * span. Diffuse and specular are
-# rounded to 8 of the 10 fraction bits, so that they compress better.
-#
-# Exemplar:
-# size: (width, height) in texels of the level.
-# level: texels are 2^level texels of the material wide.
-# diffuse: a JPEG as a data URL.
-# specular_channels: 1, or 3 where F0 has a colour.
-# low: least value of each specular channel, of roughness and of height. Roughness includes the
-# variance of normals within a texel.
-# span: greatest value of each less the least.
-# data: specular, then roughness, in 255 steps a byte, then low and high bytes of height in 65535
-# steps; each number is the difference from the one before.
 
 
 _QUALITY = 90  # of the exemplar's JPEG
@@ -147,16 +154,6 @@ def _ends(plane: NDArray[np.float32]) -> tuple[float, float]:
 
 def _text(data: NDArray[np.uint8]) -> str:
     return base64.b64encode(zlib.compress(data.tobytes(), 9)).decode()
-
-
-# Composes the HTML document of the page, served or self-contained.
-#
-# The page's scripts are modules. The served document links them as files. The self-contained one
-# has them concatenated, in the order of SCRIPTS: each imports only from those before it, and no two
-# define the same name.
-#
-# The element `about` is JSON; in a self-contained document its entries `tile` and `enclosed` are
-# the maps (document.py).
 
 
 SCRIPTS = (

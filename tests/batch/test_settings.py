@@ -306,3 +306,23 @@ def test_what_holds_no_photographs_is_refused(tmp_path, name):
     (tmp_path / "empty").mkdir()
     with pytest.raises(MatcapError, match="give a folder"):
         find_samples(tmp_path / name)
+
+
+@pytest.mark.parametrize("group", ["none", "name"])
+def test_exposures_of_one_place_are_one_sample(tmp_path, group):
+    touch(tmp_path, "IMG_0001.jpg", "IMG_0002.jpg", "IMG_0003.jpg", "IMG_0004.jpg", "z.jpg")
+    seconds = {"IMG_0001.jpg": 0.0, "IMG_0002.jpg": 2.0, "IMG_0003.jpg": 4.0, "IMG_0004.jpg": 60.0}
+    asked = []
+
+    def brackets(paths):
+        asked.append([path.name for path in paths])
+        return [tuple(paths[:2]), tuple(paths[2:])]
+
+    found = find_samples(
+        tmp_path, group=group, taken=lambda path: seconds.get(path.name), brackets=brackets
+    )
+    photos = [[path.name for path in sample.photos] for sample in found]
+    assert asked == [["IMG_0001.jpg", "IMG_0002.jpg", "IMG_0003.jpg"]]
+    assert photos == [
+        ["IMG_0001.jpg", "IMG_0002.jpg"], ["IMG_0003.jpg"], ["IMG_0004.jpg"], ["z.jpg"],
+    ]  # fmt: skip

@@ -273,7 +273,10 @@ def test_field_preview_and_maps_stand(captures):
     expected = np.rot90(captures["lying"].rectified, -1)
     np.testing.assert_array_equal(standing.rectified, expected)
     whole = standing.material.maps(192, 192, seed=3).diffuse.mean(0).numpy()
-    assert slant(whole) == pytest.approx(slant(standing.rectified.mean(-1)), abs=0.2)
+    # The border has texels that the tilted photograph does not show, which are black.
+    seen = standing.rectified.mean(-1)[12:-12, 12:-12]
+    assert seen.min() > 0.0
+    assert slant(whole) == pytest.approx(slant(seen), abs=0.2)
     assert slant(standing.rerendered.mean(-1)) == pytest.approx(slant(whole), abs=0.2)
     lain = captures["lying"].material.maps(192, 192, seed=3).diffuse.mean(0).numpy()
     assert abs(slant(lain) - slant(whole)) > 1.0

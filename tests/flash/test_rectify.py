@@ -16,9 +16,9 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import Rectangle
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import project, unproject
-from matcap.flash.rectify import plane_of, read_plane, rectify
+from matcap.flash.rectify import inside, plane_of, read_plane, rectify
 from matcap.photo.inspect import inspect_photo
-from matcap.photo.left_out import border_crop, leave_out
+from matcap.photo.left_out import border_crop, largest_rectangle, leave_out
 from matcap.photo.photo import Photo
 
 # A photograph on its plane: a tilt is undone, colours are compared, gaps are known.
@@ -292,3 +292,25 @@ def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off(photo):
     assert not any(found.name == "crop" for found in inspect_photo(photo).findings)
     spotted = photo.pixels * (1.0 + 0.4 * (np.indices((HEIGHT, WIDTH)).sum(0) // 8 % 2))[..., None]
     assert border_crop(replace(photo, pixels=spotted.astype(np.float32))) is None
+
+
+def test_what_a_tilted_photograph_does_not_show_is_left_out():
+    setup = a_setup(tilt=(0.2, -0.1))
+    plane = read_plane(photograph(setup), setup, WIDTH)
+    shown = torch.from_numpy(inside((HEIGHT, WIDTH), setup))
+    assert not shown.all() and bool((plane.kept == shown).all())
+    assert not plane.valid[~shown].any() and not plane.measured[:, ~shown].any()
+    straight = a_setup()
+    assert read_plane(photograph(straight), straight, WIDTH).left_out is None
+
+
+def test_the_largest_rectangle_has_only_kept_pixels():
+    kept = np.ones((96, 131), bool)
+    assert largest_rectangle(kept) == (slice(0, 96), slice(0, 131))
+    kept[:20, :20] = kept[90:] = kept[:, 120:] = False
+    assert largest_rectangle(kept) == (slice(0, 90), slice(20, 120))
+    y, x = np.mgrid[:768, :1024]
+    slanting = x > 60 + 0.1 * y
+    rows, columns = largest_rectangle(slanting)
+    assert slanting[rows, columns].all() and slanting[rows, columns].sum() > 0.9 * slanting.sum()
+    assert largest_rectangle(np.zeros((64, 64), bool)) == (slice(0, 0), slice(0, 0))

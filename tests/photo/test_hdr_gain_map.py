@@ -12,6 +12,7 @@ from icc_files import matrix_profile, parametric
 
 from matcap.files.color import rec709_decode, srgb_decode
 from matcap.files.pixels import upright
+from matcap.photo import developed as lossy
 from matcap.photo.hdr_gain_map import of_jpeg
 from matcap.photo.load import load_photo
 
@@ -174,6 +175,19 @@ def test_damaged_bytes_raise_nothing_else(codes, gains):
             broken[at] = random.integers(256)
         with contextlib.suppress(ValueError):
             of_jpeg(bytes(broken[: random.integers(len(data) // 2, len(data))]), {})
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_apples_map_of_a_heic_is_turned_with_its_base(tmp_path, gains, turned):
+    """An auxiliary picture may be handed out as stored; its headroom is in the file's XMP."""
+    path = tmp_path / "a.heic"
+    path.write_bytes(b"ftyp" + apple_xmp(4.0))
+    stored = np.ascontiguousarray(np.rot90(gains, -1)) if turned else gains
+    gain_map = lossy._apple_map(path, stored, {}, (128, 96))
+    np.testing.assert_array_equal(gain_map.codes[..., 0], gains)
+    assert gain_map.headroom == pytest.approx(4.0)
+    with pytest.raises(ValueError, match="8 bits"):
+        lossy._apple_map(path, stored.astype(np.uint16), {}, (128, 96))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("imagecodecs") is None, reason="needs imagecodecs")

@@ -14,7 +14,7 @@ from matcap.photo.photo import (
 )
 from matcap.photo.response import Tones, fit_ratio
 
-LIGHT = np.exp(np.random.default_rng(1).uniform(math.log(0.02), math.log(0.95), 20_000))
+LIGHT = np.exp(np.random.default_rng(1).uniform(math.log(0.02), math.log(0.95), (10_000, 2)))
 CODED, LINEAR = Tones(False, Development()), Tones(True, Development())
 
 

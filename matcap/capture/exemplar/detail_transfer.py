@@ -30,6 +30,7 @@ from matcap.capture.exemplar.network.network import SUBSAMPLING
 from matcap.capture.exemplar.observation import AROUND, PlaneLight
 from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
+    spline_enlarged,
     split,
 )
 from matcap.example.exemplar import Exemplar
@@ -109,7 +110,10 @@ def sharpness(maps: MapSet, plane: Plane, coarse: Uniform) -> float:
 
 
 def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
-    """Interpolate maps bicubically to a plane's resolution, albedo in logarithms."""
+    """Interpolate maps bicubically to a plane's resolution, albedo in logarithms.
+
+    Height by splines, as OpenCV's cubic kernel does not keep slopes.
+    """
 
     def larger(values: Floats) -> Tensor:
         return torch.from_numpy(_resized(values, plane.size, cv2.INTER_CUBIC))
@@ -118,7 +122,7 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
         diffuse=larger(np.log(exemplar.diffuse.clip(1e-4))).exp_().clamp_(*ALBEDO_LIMITS),
         specular=larger(exemplar.specular).clamp_(*F0_LIMITS),
         roughness=larger(exemplar.roughness).clamp_(*ROUGHNESS_LIMITS),
-        height=larger(exemplar.height),
+        height=torch.from_numpy(spline_enlarged(exemplar.height[0], plane.size))[None],
         texel_size=plane.texel_size,
     )
 

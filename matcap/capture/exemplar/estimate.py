@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from matcap.brdf.maps import (
     CHANNELS,
@@ -40,13 +41,19 @@ from matcap.capture.settings import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
+from matcap.example.index import Frame
 from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane
+from matcap.photo.left_out import largest_rectangle
 from matcap.statistics.lattice import Wave
 
 if TYPE_CHECKING:
     from matcap.capture.multiview.set_report import SetReport
+
+TexelMask = NDArray[np.bool_]
+
+_MOST_KEPT = 0.7  # least share of the photographed texels in the rectangle that fields show
 
 
 @dataclass(frozen=True)
@@ -73,6 +80,8 @@ class ExemplarEstimate:
     """Factor on albedo and F0 by mean_parameters.py; the flash is divided by it."""
     turned: bool = False
     """Whether the maps are rotated to a portrait photograph's orientation."""
+    kept: TexelMask | None = None
+    """(H, W) texels of the material that one photograph shows; None if all, or for several."""
 
     @property
     def first_rectangle(self) -> Exemplar:
@@ -93,8 +102,9 @@ class ExemplarEstimate:
 
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
         """A portrait's estimate, its maps rotated upright; `waves` is their lattice."""
-        exemplar, example = indexed(self.exemplar, waves, turned=True)
-        return replace(self, exemplar=exemplar, example=example, turned=True)
+        exemplar, example = indexed(self.exemplar, waves, turned=True, kept=self.kept)
+        kept = _upright(self.kept, turned=True)
+        return replace(self, exemplar=exemplar, example=example, turned=True, kept=kept)
 
     def with_sharpness(self, rectified: Rectified) -> ExemplarEstimate:
         """The estimate with its sharpness, measured in its photograph."""
@@ -136,7 +146,8 @@ def estimate_exemplar(
         scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
         exemplar = scaled(exemplar, scale).rounded()
     with clock.stage("index"):
-        exemplar, example = indexed(exemplar, rectified.waves, turned=turned)
+        kept = None if whole.left_out is None else whole.kept.numpy()
+        exemplar, example = indexed(exemplar, rectified.waves, turned=turned, kept=kept)
     plane = observed.plane
     residual, slow = radiance_residual(
         prediction.residuals, plane.linear, plane.measured, observed.light
@@ -146,7 +157,7 @@ def estimate_exemplar(
     estimate = ExemplarEstimate(
         exemplar, example, spectrum, error, float(slow.abs().mean()), scale=scale, turned=turned
     )
-    return estimate.with_sharpness(rectified)
+    return replace(estimate, kept=_upright(kept, turned=turned)).with_sharpness(rectified)
 
 
 def refined(
@@ -171,9 +182,11 @@ def refined(
 
 
 def indexed(
-    exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool
+    exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool, kept: TexelMask | None = None
 ) -> tuple[Exemplar, Example]:
     """An exemplar, and its index with the smallest patches that keep its long structures.
+
+    Fields show only a rectangle of what was photographed, unless it has less than _MOST_KEPT of it.
 
     A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
     large patches: its threads are the same everywhere, and small ones swirl.
@@ -182,14 +195,30 @@ def indexed(
         exemplar: the maps, rounded as in a file.
         waves: frequency vectors of the lattice, cycles per texel.
         turned: whether to rotate both upright first, 90 degrees clockwise.
+        kept: (H, W) texels that the photograph shows; None for all.
     """
     if turned:
         # Rotated by 90 degrees clockwise, frequency (fx, fy) becomes (-fy, fx).
         exemplar, waves = exemplar.turned(), tuple(Wave(-wave.fy, wave.fx) for wave in waves)
+    kept = _upright(kept, turned=turned)
     flat = straightened(exemplar, waves)
     if flat is None:
-        return exemplar, with_chosen_variety(Example.of_rounded(exemplar, waves))
+        return exemplar, with_chosen_variety(
+            Example.of_rounded(exemplar, waves, part=None if kept is None else _shown(kept))
+        )
     return exemplar, Example.of_rounded(*flat, straight=True).varied(LOWEST_VARIETY)
+
+
+def _upright(kept: TexelMask | None, *, turned: bool) -> TexelMask | None:
+    return np.rot90(kept, -1) if kept is not None and turned else kept
+
+
+def _shown(kept: TexelMask) -> Frame | None:
+    """The largest rectangle of kept texels; None for all if it has too few of them."""
+    rows, columns = largest_rectangle(kept)
+    if kept[rows, columns].sum() < _MOST_KEPT * kept.sum():
+        return None
+    return Frame(columns.start, rows.start, columns.stop - 1, rows.stop - 1)
 
 
 def measured_spectrum(

@@ -12,15 +12,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    ALBEDO,
-    ALBEDO_LIMITS,
-    F0,
-    F0_LIMITS,
-    REFLECTANCE,
-    SurfaceParameters,
-)
-from matcap.brdf.maps import MapSet
+from matcap.brdf.cook_torrance import ALBEDO, F0, REFLECTANCE, SurfaceParameters
 from matcap.capture.exemplar.mean_parameters import (
     DIELECTRIC,
     LEAST_PART,
@@ -40,14 +32,6 @@ from matcap.flash.light import DARKEST
 # Dielectrics have an achromatic F0. Metals have no diffuse albedo, so under a white flash their
 # radiance has the colour of F0: with the share m of metal in a texel and the colour of radiance,
 # normalised to a channel mean of 1, the specular tint of the texel is 1 + m (colour - 1).
-#
-# For several photographs it is divided out before the solution, and multiplied back after it. With
-# F0 = tint f, f the mean of F0 over channels, and irradiance E, radiance by channel is
-#
-# L = E (diffuse / pi + tint f lobe) = tint E (diffuse / tint / pi + f lobe).
-#
-# So log L - log tint is solved for the albedo diffuse / tint and an achromatic F0 = f, by the same
-# solver as for dielectrics. Schlick's achromatic rise to 1 at grazing angles is neglected.
 
 
 _LEAST_SHARE = 0.005  # least share of metal in an exemplar
@@ -99,35 +83,6 @@ def _mean(picture: Tensor) -> Tensor:
     pad = _COLOUR_SIDE // 2
     blurred = F.avg_pool2d(flat, _COLOUR_SIDE, stride=1, padding=pad)
     return torch.as_tensor(blurred.reshape(picture.shape))
-
-
-def achromatic(maps: MapSet) -> tuple[MapSet, Tensor]:
-    """Maps with diffuse / tint and mean F0 (1, H, W), and the tint; 1 (1, H, W) of achromatic F0.
-
-    tint = F0 / mean of F0 over channels.
-    """
-    f0 = maps.specular.clamp_min(F0_LIMITS[0])
-    mean = maps.specular.mean(-3, keepdim=True).clamp_min(F0_LIMITS[0])
-    tint = f0 / mean
-    tint = tint / tint.mean(-3, keepdim=True)
-    return replace(maps, diffuse=(maps.diffuse / tint).clamp(*ALBEDO_LIMITS), specular=mean), tint
-
-
-def coloured(maps: MapSet, tint: Tensor) -> MapSet:
-    """The inverse of achromatic: diffuse and F0 times a tint (1 or 3, h, w) on any grid."""
-    tint = on_grid(tint, maps.size)
-    return replace(
-        maps,
-        diffuse=(maps.diffuse * tint).clamp(*ALBEDO_LIMITS),
-        specular=(maps.specular * tint).clamp(*F0_LIMITS),
-    )
-
-
-def on_grid(tint: Tensor, size: tuple[int, int]) -> Tensor:
-    """(1 or 3, height, width) tint resampled bilinearly to `size` = (width, height)."""
-    if tint.shape[-2:] == size[::-1]:
-        return tint
-    return F.interpolate(tint[None], size=size[::-1], mode="bilinear", align_corners=False)[0]
 
 
 # Material classes: dielectric, metal, or a mixture of both, each with mean parameters.

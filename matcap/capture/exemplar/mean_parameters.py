@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -212,6 +213,8 @@ class RingTarget:
     """Log parameters to which mean parameters are added; broadcasts to (..., H, W)."""
     tints: tuple[Tensor | float, ...] = (1.0,)
     """Specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number."""
+    limit: float = 1.0
+    """Radiance at which the photograph clips; resampling may exceed it."""
 
     def thinned(self, texels: int) -> RingTarget:
         """Subsample so that at least `texels` remain along the short side."""
@@ -221,11 +224,12 @@ class RingTarget:
         def thin(plane: Tensor) -> Tensor:
             return plane[..., every, every] if plane.shape[-2:] == size else plane
 
-        planes = ("linear", "measured", "counts", "distance", "normal")
+        names = ("linear", "measured", "counts", "distance", "normal")
+        planes: dict[str, Any] = {name: thin(getattr(self, name)) for name in names}
         parts = (getattr(self.surface, each.name) for each in fields(SurfaceParameters))
         return replace(
             self,
-            **{name: thin(getattr(self, name)) for name in planes},
+            **planes,
             flash=self.flash.cut(every, every),
             surface=SurfaceParameters(*(thin(part) for part in parts)),
             tints=tuple(thin(tint) if isinstance(tint, Tensor) else tint for tint in self.tints),
@@ -300,7 +304,7 @@ class _RingFit:
         self._target, self._shares, self._prior = target, shares, prior
         self._rings = _Rings(target, shares)
         self._incidence = target.flash.onto(target.normal)
-        means = self._rings.means(target.linear.clamp_max(1.0))
+        means = self._rings.means(target.linear.clamp_max(target.limit))
         self._observed = means.clamp_min(DARKEST).log().flatten()
         self._counts = self._rings.counts.flatten() / _NOISE**2
         clipped = self._rings.means((~target.measured).float()).flatten()

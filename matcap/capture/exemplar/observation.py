@@ -239,6 +239,7 @@ class Observation:
             normal=self.light.maps(residuals).normal,
             surface=self.light.uniform + residuals,
             tints=tuple(self.light.tint if each else 1.0 for each in metal),
+            limit=self.plane.encoding.limit,
         )
 
 

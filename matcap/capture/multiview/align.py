@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.material_classes import achromatic
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.surface import integrated
@@ -100,10 +99,10 @@ class Aligned:
         first = self.views[0].camera.place
         return [ViewWarp(each, self.relief, first, self.extent) for each in self.homographies]
 
-    def on_grid(self, across: int, down: int, tint: Tensor) -> list[ResampledView]:
-        """Resample every photograph to a grid of (down, across) texels, divided by `tint`."""
+    def on_grid(self, across: int, down: int) -> list[ResampledView]:
+        """Resample every photograph to a grid of (down, across) texels."""
         both = zip(self.views, self.warps, strict=True)
-        return [ResampledView.of(view, across, down, warp, tint) for view, warp in both]
+        return [ResampledView.of(view, across, down, warp) for view, warp in both]
 
 
 @torch.no_grad()
@@ -119,8 +118,6 @@ def aligned(
         prediction: the network's, of the first photograph, on the plane of `by_features`.
         on_progress: called with the completed share, in [0, 1].
     """
-    maps, tint = achromatic(prediction.maps)
-    prediction = replace(prediction, maps=maps)
     # The prediction is on the plane of a lens without distortion.
     alignment, predicted = by_features, PosedCamera.of(by_features.setup)
     parameters: Tensor | None = None
@@ -135,12 +132,12 @@ def aligned(
         }
         if not uncertain and not steps:
             continue
-        views = alignment.on_grid(*size, tint)
+        views = alignment.on_grid(*size)
         parameters = _initial(views, parameters, prior, alignment.light, steps)
         relief = _relief(parameters, texel, alignment.extent.unit(size[0]))
         for turn in range(rounds):
             if turn:
-                views = alignment.on_grid(*size, tint)
+                views = alignment.on_grid(*size)
             lit = under_fitted_ambient(views, parameters, alignment.light)
             light, moves = shared_step(lit, parameters, prior, alignment.light, moved=uncertain)
             both = zip(alignment.homographies, moves, strict=True)

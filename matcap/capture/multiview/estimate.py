@@ -15,18 +15,12 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
-from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import (
-    Classes,
-    achromatic,
-    coloured,
-    on_grid,
-)
+from matcap.capture.exemplar.material_classes import Classes
 from matcap.capture.exemplar.mean_parameters import (
     most_probable_scale,
     scaled,
@@ -41,6 +35,7 @@ from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.ambient_light import SLOW, without_ambient
+from matcap.capture.multiview.basis import with_basis
 from matcap.capture.multiview.mosaic import (
     Mosaic,
     extrapolated,
@@ -49,12 +44,15 @@ from matcap.capture.multiview.mosaic import (
     scatter,
     seen_by_any,
     spread_over,
-    tint_over,
     unpredicted,
     with_others,
 )
 from matcap.capture.multiview.pair import on_albedo
-from matcap.capture.multiview.set_report import SetReport, leave_one_out
+from matcap.capture.multiview.set_report import (
+    LeaveOneOut,
+    SetReport,
+    leave_one_out,
+)
 from matcap.capture.multiview.solve import Solved, solve
 from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import ResampledView
@@ -98,9 +96,7 @@ def estimate_multiview(
 
     Args:
         photos: two or more; the first one with flash defines the frame.
-        network: the inverse network (exemplar/network/network.py).
-        detail: texels along the long side.
-        clock: of the stages.
+        network, detail, clock: the inverse network, texels along the long side, of the stages.
         union: estimate all that the photographs show (mosaic.py), not the first one's rectangle.
 
     Raises:
@@ -113,34 +109,34 @@ def estimate_multiview(
     spread = spread_over(single, mosaic.margins)
     alignment, interrupted = _aligned(by_features, single.maps, spread, clock)
     first, camera = alignment.views[0].photo, PosedCamera.of(by_features.setup)
-    prior, tint = _reframed(spread, camera, alignment, mosaic)
+    alone = _reframed(spread, camera, alignment, mosaic)
     if mosaic.margins.any:
         if not interrupted:
-            prior, tint, interrupted = _fused(alignment, prior, tint, mosaic, coarse, network)
-        prior = prior.with_most_error(scatter(single))
+            alone, interrupted = _fused(alignment, alone, coarse, network)
+        alone = alone.with_most_error(scatter(single))
     with clock.stage("solve"):
-        alignment, resampled, solved = _solved(alignment, prior, tint, clock)
+        alignment, prior, interrupted = with_basis(alignment, alone, interrupted=interrupted)
+        alignment, resampled, solved = _solved(alignment, prior, clock)
     interrupted |= solved.interrupted
-    rectified = Rectified.of(first, replace(coarse, setup=alignment.setup), detail)
+    camera_only = replace(coarse, setup=alignment.setup)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
-    rectified = replace(rectified, coarse=lit)
     with clock.stage("predict"):
-        unknown = (), solved.residual
-        predicted, residuals = (
-            unknown if interrupted else leave_one_out(alignment, prior, solved, tint)
-        )
+        several = prior, alone, by_features.light
+        unknown = LeaveOneOut((), solved.residual, ())
+        checked = unknown if interrupted else leave_one_out(alignment, solved, *several)
+        if checked.kept_first is not None and not mosaic.margins.any:
+            solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only
+    rectified = replace(Rectified.of(first, camera_only, detail), coarse=lit)
     with clock.stage("inpaint"):
         mosaic, plane, maps = _whole(rectified.whole, alignment, mosaic, solved.maps)
         estimate = replace(solved.estimate, maps=maps)
-        exemplar = _inpainted(Observation.of(plane, lit), estimate, tint, resampled)
+        exemplar = _inpainted(Observation.of(plane, lit), estimate, resampled)
     with clock.stage("index"):
+        metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
-    views, left_out, measured = alignment.views, registration.left_out, solved.measured
-    report = SetReport(views, residuals, predicted, left_out, measured, lit.setup.offset, mosaic)
-    error, turned = solved.residual[0], first.turned
-    result = ExemplarEstimate(
-        exemplar, example, spectrum, error, 0.0, 1.0, interrupted, report, scale, turned
-    )
+    report = SetReport.of(alignment, registration, solved, checked, mosaic)
+    own = solved.residual[0], 0.0, 1.0, interrupted, report, scale, first.turned
+    result = ExemplarEstimate(exemplar, example, spectrum, *own)
     return rectified, result.with_sharpness(rectified)
 
 
@@ -217,8 +213,8 @@ def _aligned(
 
 def _reframed(
     prediction: Estimate, predicted: PosedCamera, alignment: Aligned, mosaic: Mosaic
-) -> tuple[Estimate, Tensor]:
-    """The prediction, resampled to the plane of the registered camera, and its specular tint.
+) -> Estimate:
+    """The prediction, resampled to the plane of the registered camera.
 
     Args:
         prediction: the network's, over the exemplar's extent.
@@ -227,35 +223,27 @@ def _reframed(
         mosaic: extent, beyond the first photograph without prediction.
     """
     cameras = predicted, alignment.views[0].camera
-    maps, tint = achromatic(reframed(prediction.maps, *cameras, mosaic.extent))
-    return Estimate(maps, unpredicted(prediction.log_error, mosaic)), tint
+    maps = reframed(prediction.maps, *cameras, mosaic.extent)
+    return Estimate(maps, unpredicted(prediction.log_error, mosaic))
 
 
 def _fused(
-    alignment: Aligned,
-    first: Estimate,
-    tint: Tensor,
-    mosaic: Mosaic,
-    coarse: CoarseFit,
-    network: Inverse,
-) -> tuple[Estimate, Tensor, bool]:
-    """Prediction and tint of a mosaic from all photographs, or `first` and `tint` if interrupted.
-
-    Also returns whether it was interrupted.
-    """
+    alignment: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse
+) -> tuple[Estimate, bool]:
+    """Prediction of a mosaic from all photographs, or `first` and True if interrupted."""
 
     def predict(plane: Plane, fit: CoarseFit) -> Estimate:
         return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
     try:
-        predictions, tints = predict_views(alignment, first, coarse, predict)
+        predictions = predict_views(alignment, first, coarse, predict)
     except KeyboardInterrupt:
-        return first, tint, True
-    return with_others(first, predictions), tint_over(tint, predictions[1:], tints, mosaic), False
+        return first, True
+    return with_others(first, predictions), False
 
 
 def _solved(
-    alignment: Aligned, prior: Estimate, tint: Tensor, clock: CaptureClock
+    alignment: Aligned, prior: Estimate, clock: CaptureClock
 ) -> tuple[Aligned, list[ResampledView], Solved]:
     """Joint estimation on a grid of half the texels across, then on all.
 
@@ -264,16 +252,16 @@ def _solved(
     """
     across, down = prior.maps.size
     if alignment.extent.unit(across) < 2 * _COARSE:
-        views = alignment.on_grid(across, down, tint)
+        views = alignment.on_grid(across, down)
         on_progress = clock.callback("solve", 0.0, 1.0)
         return alignment, views, solve(views, prior, alignment.light, on_progress=on_progress)
     size = round(across / 2), round(down / 2)
-    views = alignment.on_grid(*size, tint)
+    views = alignment.on_grid(*size)
     small = prior.resized(size[::-1], alignment.extent)
     on_progress = clock.callback("solve", 0.0, _COARSE_SHARE)
     coarser = solve(views, small, alignment.light, on_progress=on_progress)
     alignment = replace(alignment, relief=coarser.maps.height[0].numpy())
-    views = alignment.on_grid(across, down, tint)
+    views = alignment.on_grid(across, down)
     on_progress = clock.callback("solve", _COARSE_SHARE, 1.0)
     solved = solve(views, prior, coarser.light, coarser, on_progress, rounds=_FINER)
     return alignment, views, solved
@@ -294,16 +282,18 @@ def _whole(
 
 
 def _inpainted(
-    observed: Observation, estimate: Estimate, tint: Tensor, views: Sequence[ResampledView]
+    observed: Observation, estimate: Estimate, views: Sequence[ResampledView]
 ) -> Exemplar:
-    """The solved maps with the specular tint of metal, inpainted under the highlight.
+    """The solved maps, inpainted under the highlight.
 
-    Relief and mean parameters are fitted to the first photograph's highlight, as those of a single
-    photograph are: robust weights take a mirrored light that is a little displaced for an outlier.
-    All texels are one dielectric class there (docs/notes/several.md).
+    Of one material, relief and mean parameters are fitted to the first photograph's highlight, as
+    those of a single photograph are: robust weights take a mirrored light that is a little
+    displaced for an outlier. Of several materials nothing is copied: what one photograph's
+    highlight hides, others show.
     """
-    maps = coloured(estimate.maps, tint)
-    light = replace(observed.light, tint=on_grid(tint, maps.size))
+    maps = estimate.maps
+    tint = maps.specular / maps.specular.mean(0, keepdim=True).clamp_min(1e-4)
+    light = replace(observed.light, tint=tint)
     observed = replace(observed, light=light)
     seen = torch.stack([view.seen.float().mean(0) for view in views]).amax(0)
     seen = seen * observed.plane.kept  # of a mosaic, not where unseen, or seen too obliquely
@@ -311,6 +301,8 @@ def _inpainted(
     confidence = confidence_of(errors, np.asarray(seen.numpy(), np.float32), observed.plane.unit)
     classes = Classes.whole(observed.specular_fraction.shape, metal=False)
     prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
+    if estimate.basis is not None:
+        return exemplar_of(observed, prediction)
     return inpainted(exemplar_of(observed, fitted_to_highlight(observed, prediction)), observed)
 
 

@@ -16,11 +16,10 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.material_classes import achromatic, on_grid
 from matcap.capture.exemplar.relief_spectrum import filled, smoothed
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.surface import integrated, surface_of
-from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of
+from matcap.capture.multiview.texels import SLOPES, TINT, Estimate, maps_of, parameters_of
 from matcap.capture.multiview.views import SharedLight, ViewWarp
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points, to_pixels
@@ -307,7 +306,7 @@ def predict_views(
     first: Estimate,
     coarse: CoarseFit,
     predict: Callable[[Plane, CoarseFit], Estimate],
-) -> tuple[list[Estimate], list[Tensor]]:
+) -> list[Estimate]:
     """The network's predictions of the photographs with flash and without too large a tilt.
 
     Args:
@@ -317,25 +316,23 @@ def predict_views(
         predict: predicts the maps of one photograph on its own plane.
 
     Returns:
-        The predictions, the first one first, on its grid of fusion, F0 without tint; and the
-        specular tints (1 or 3, H, W) of the others.
+        The predictions, the first one first, on its grid of fusion.
     """
     extent = alignment.extent
     width, height = first.maps.size
     rectangle_across = min(_ACROSS, round(extent.unit(width)))
     across = extent.across(rectangle_across)
     down = round(height * across / width)
-    predictions, tints = [first.resized((down, across), extent)], list[Tensor]()
+    predictions = [first.resized((down, across), extent)]
     for number, view in enumerate(alignment.views[1:], 1):
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
             own = OwnPlane.of(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, rectangle_across)
             prediction = predict(plane, replace(coarse, setup=own.setup))
             warp = alignment.warps[number]
-            over, tint = resampled_over(prediction, own, view.camera, warp, (across, down))
+            over = resampled_over(prediction, own, view.camera, warp, (across, down))
             predictions.append(over)
-            tints.append(tint)
-    return predictions, tints
+    return predictions
 
 
 def resampled_over(
@@ -344,8 +341,8 @@ def resampled_over(
     camera: PosedCamera,
     warp: ViewWarp,
     size: tuple[int, int],
-) -> tuple[Estimate, Tensor]:
-    """Resample a prediction from its photograph's own plane to the first one's; and its tint.
+) -> Estimate:
+    """Resample a prediction from its photograph's own plane to the first one's.
 
     Args:
         prediction: the network's, on its photograph's plane.
@@ -363,16 +360,15 @@ def resampled_over(
             cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
         )
 
-    maps, tint = achromatic(prediction.maps)
+    maps = prediction.maps
     logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
     stacked = torch.stack([resampled(c) for c in torch.cat([logs, maps.roughness, maps.height])])
-    log_albedo, log_f0, roughness, relief = stacked.split([3, 1, 1, 1])
+    log_albedo, log_f0, roughness, relief = stacked.split([3, len(stacked) - 5, 1, 1])
     texel_size = warp.extent.texel(size[0])
     over = MapSet(log_albedo.exp(), log_f0.exp(), roughness, own.scale * relief, texel_size)
     errors = torch.stack([resampled(c, cv2.INTER_LINEAR) for c in prediction.log_error])
     errors = (errors + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNPREDICTED)
-    tint = torch.stack([resampled(channel, cv2.INTER_LINEAR) for channel in tint])
-    return Estimate(over, errors), tint
+    return Estimate(over, errors)
 
 
 def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
@@ -392,9 +388,10 @@ def fused(predictions: Sequence[Estimate]) -> Estimate:
     """
     weights = _precisions(predictions)
     whole = weights.sum(0)
-    parameters = torch.stack([parameters_of(prediction.maps) for prediction in predictions])
+    channels = max(len(prediction.maps.specular) for prediction in predictions)
+    parameters = torch.stack([_parameters(prediction, channels) for prediction in predictions])
     mean = torch.zeros_like(parameters[0])
-    for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3)):
+    for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3), (TINT, 1)):
         for one, weight in zip(parameters, weights, strict=True):
             mean[part] += weight[kind] / whole[kind] * one[part]
     log_error = _fused_error(weights)
@@ -403,6 +400,13 @@ def fused(predictions: Sequence[Estimate]) -> Estimate:
     precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
     height = surface_of(mean[SLOPES], texel_size, precision)
     return Estimate(maps_of(mean, height, texel_size), log_error)
+
+
+def _parameters(prediction: Estimate, channels: int) -> Tensor:
+    """(PARAMETERS or more, H, W) parameters of a prediction with this many channels of F0."""
+    maps = prediction.maps
+    specular = maps.specular.expand(channels, -1, -1) if len(maps.specular) == 1 else maps.specular
+    return parameters_of(replace(maps, specular=specular))
 
 
 def _precisions(predictions: Sequence[Estimate]) -> Tensor:
@@ -432,8 +436,9 @@ def with_others(first: Estimate, predictions: Sequence[Estimate]) -> Estimate:
     def wide(change: Tensor) -> Tensor:
         return F.interpolate(change[None], size=first.maps.size[::-1], mode="bilinear")[0]
 
-    change = parameters_of(together.maps) - parameters_of(predictions[0].maps)
-    parameters, texel_size = parameters_of(first.maps) + wide(change), first.maps.texel_size
+    channels, texel_size = len(together.maps.specular), first.maps.texel_size
+    change = _parameters(together, channels) - _parameters(predictions[0], channels)
+    parameters = _parameters(first, channels) + wide(change)
     height = integrated(parameters[SLOPES], texel_size)
     log_error = first.log_error + wide(together.log_error - alone)
     return Estimate(maps_of(parameters, height, texel_size), log_error)
@@ -466,31 +471,6 @@ def scatter(prediction: Estimate) -> Tensor:
     variance = torch.stack([part.std() for part in parts]).square()
     error_variance = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
     return 0.5 * (variance + error_variance).log()
-
-
-def tint_over(
-    tint: Tensor, others: Sequence[Estimate], tints: Sequence[Tensor], mosaic: Mosaic
-) -> Tensor:
-    """Specular tint over the mosaic, beyond the first photograph from the other predictions.
-
-    Args:
-        tint: (3, H, W) from the first prediction, extrapolated; 1 (1, H, W) without metal, which is
-            returned.
-        others: predictions of the other photographs.
-        tints: (1 or 3, h, w) theirs.
-        mosaic: its extent.
-    """
-    if len(tint) == 1 or not others:
-        return tint
-    total, weights = torch.zeros(3, 1, 1), torch.zeros(1, 1)
-    for prediction, own in zip(others, tints, strict=True):
-        weight = (-2.0 * prediction.log_error[1]).exp()
-        total = total + weight * own
-        weights = weights + weight
-    size = tint.shape[-1], tint.shape[-2]
-    beyond = on_grid(total / weights, size)
-    counted = on_grid(weights[None], size) > math.exp(-UNPREDICTED)
-    return torch.where(counted & ~mosaic.margins.own(mosaic.size), beyond, tint)
 
 
 def unpredicted(log_error: Tensor, mosaic: Mosaic) -> Tensor:

@@ -5,22 +5,119 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from torch import Tensor
 
-from matcap.brdf.maps import CHANNELS
+from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.solve import Solved, solve
-from matcap.capture.multiview.texels import Estimate, log_rendered, parameters_of, points_of
-from matcap.capture.multiview.views import ResampledView, light_at
-from matcap.capture.registration.register import LeftOut, RegisteredView
+from matcap.capture.multiview.texels import Basis, Estimate, log_rendered, parameters_of, points_of
+from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
 from matcap.photo.checks import CHECKS
+
+# Leave-one-out error of a set: each photograph predicted from all the others.
+#
+# This needs no ground truth, as maps of the others are not fitted to the photograph left out.
+
+
+# Settings of the leave-one-out solves; docs/notes/several.md.
+_ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
+# Steps per texel in each round (solve.ROUNDS): of the solution by all photographs, which starts
+# from the prediction, and of those without one photograph, which start from that solution.
+_ROUNDS, _WITHOUT = (2, 1), (1,)
+# Texels to which shared parameters are fitted; few, as the initial light is nearly exact.
+_SAMPLED = 1500
+
+
+class LeaveOneOut(NamedTuple):
+    """Medians of |log radiance of photograph - rendering| for each photograph, on one coarse grid.
+
+    NaN without flash.
+    """
+
+    by_others: tuple[float, ...]
+    """Of maps estimated from all other photographs; () if fewer than two have flash."""
+    by_all: tuple[float, ...]
+    """Of maps estimated from all."""
+    by_first: tuple[float, ...]
+    """Of maps estimated from the first photograph alone; () as by_others."""
+
+    @property
+    def kept_first(self) -> tuple[float, float] | None:
+        """Mean errors by each other and by the first, if that predicts the others better."""
+        pairs = [
+            pair
+            for pair in zip(self.by_others[1:], self.by_first[1:], strict=True)
+            if all(map(math.isfinite, pair))
+        ]
+        if not pairs:
+            return None
+        others, first = (sum(errors) / len(pairs) for errors in zip(*pairs, strict=True))
+        return (others, first) if others > first else None
+
+
+@torch.no_grad()
+def leave_one_out(
+    alignment: Aligned, solved: Solved, prediction: Estimate, alone: Estimate, begun: SharedLight
+) -> LeaveOneOut:
+    """Predict every flash photograph from all others, and from the first.
+
+    The solution without a photograph starts from the registration of all, and from the network's
+    prediction of the first photograph, even if that is the one left out. The photograph's gain is
+    fitted to it.
+
+    Args:
+        alignment: registration of the photographs.
+        solved: solution by all, whose light is the initial value.
+        prediction: its prior.
+        alone: maps by the first photograph.
+        begun: its light, as its coarse fit has it.
+    """
+    width, height = prediction.maps.size
+    across = min(alignment.extent.across(_ACROSS), width)
+    down = round(height * across / width)
+    small, own = (each.resized((down, across), alignment.extent) for each in (prediction, alone))
+    views = alignment.on_grid(across, down)
+    lit = [number for number, view in enumerate(views) if view.flash]
+    if len(lit) < 2:
+        return LeaveOneOut((), solved.residual, ())
+    light = solved.light.of_some(range(len(views)))
+    by_all = solve(views, small, light, rounds=_ROUNDS, sampled=_SAMPLED)
+    by_others, by_first = [math.nan] * len(views), [math.nan] * len(views)
+    residuals = list(solved.residual)
+    for left_out in lit:
+        kept = [number for number in range(len(views)) if number != left_out]
+        some, light = [views[number] for number in kept], by_all.light.of_some(kept)
+        without = solve(some, small, light, by_all, rounds=_WITHOUT, sampled=_SAMPLED)
+        by_others[left_out] = left_out_residual(views[left_out], without.maps, without.light)
+        by_first[left_out] = left_out_residual(views[left_out], own.maps, begun)
+        residual = left_out_residual(views[left_out], by_all.maps, by_all.light)
+        residuals[left_out] = residuals[left_out] if math.isnan(residual) else residual
+    return LeaveOneOut(tuple(by_others), tuple(residuals), tuple(by_first))
+
+
+def left_out_residual(view: ResampledView, maps: MapSet, light: SharedLight) -> float:
+    """Median absolute residual of log radiance of a photograph not used for the maps.
+
+    Each channel's gain is fitted to it first. NaN without valid texels.
+    """
+    points = points_of(view.log.shape[-2:], extent=view.extent)
+    lit = light_at(0, view, replace(light, gain=torch.zeros(1, 3)), points)
+    (rendered,) = log_rendered(parameters_of(maps), [lit])
+    residual = view.log - rendered
+    for channel in range(3):
+        valid = residual[channel][view.seen[channel]]
+        if valid.numel():
+            residual[channel] -= valid.median()
+    valid = residual[view.seen]
+    return float(valid.abs().median()) if valid.numel() else math.nan
+
 
 # Report on several photographs of one sample: cameras, residuals, measured shares.
 
@@ -44,6 +141,33 @@ class SetReport:
     """Position of the flash relative to the lens, plane units; the last is 0."""
     mosaic: Mosaic
     """Extent of the maps; without margins, the first photograph's rectangle."""
+    basis: Basis | None = None
+    """Materials that the texels share; None if all are one."""
+    kept_first: tuple[float, float] | None = None
+    """Set if the result is that of the first photograph: residuals of all others predicted by each
+    other and by the first, means."""
+
+    @staticmethod
+    def of(
+        alignment: Aligned,
+        registration: Registration,
+        solved: Solved,
+        checked: LeaveOneOut,
+        mosaic: Mosaic,
+    ) -> SetReport:
+        """Report of a solution and its check."""
+        x, y = solved.light.offset.tolist()
+        return SetReport(
+            alignment.views,
+            checked.by_all,
+            checked.by_others,
+            registration.left_out,
+            solved.measured,
+            (x, y, 0.0),
+            mosaic,
+            solved.estimate.basis,
+            None if mosaic.margins.any else checked.kept_first,
+        )
 
     def by_view(self) -> Iterator[tuple[RegisteredView, float, float]]:
         """Each view with its residual and the residual of its prediction; NaN if not computed."""
@@ -51,7 +175,15 @@ class SetReport:
         return zip(self.views, self.residuals, predicted, strict=True)
 
     def warning(self) -> str | None:
-        """A sentence if a camera's standard deviation exceeds the limit, else None."""
+        """A sentence if the set did not help or a camera is uncertain, else None."""
+        if self.kept_first is not None:
+            each_other, first = self.kept_first
+            return (
+                f"The photographs predict each other worse (log radiance off by {each_other:.3f}) "
+                f"than {self.views[0].photo.name} alone does ({first:.3f}): the maps are those "
+                "of that photograph. Photograph again, sharp, in a dark room, without moving the "
+                "sample."
+            )
         (limit,) = CHECKS["cameras"].limits
         uncertain = [view for view in self.views if view.position_deviation > limit]
         if not uncertain:
@@ -85,83 +217,9 @@ class SetReport:
             "flash_offset": list(self.flash_offset[:2]),
             "lens_distortion": list(self.views[0].camera.lens.distortion),
             **({"mosaic": self.mosaic.document()} if self.mosaic.margins.any else {}),
+            **({} if self.basis is None else {"materials": self.basis.document()}),
+            "first_alone": self.kept_first is not None,
         }
-
-
-# Leave-one-out error of a set: each photograph predicted from all the others.
-#
-# This needs no ground truth, as maps of the others are not fitted to the photograph left out.
-
-
-# Settings of the leave-one-out solves; docs/notes/several.md.
-_ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
-# Steps per texel in each round (solve.ROUNDS): of the solution by all photographs, which starts
-# from the prediction, and of those without one photograph, which start from that solution.
-_ROUNDS, _WITHOUT = (2, 1), (1,)
-# Texels to which shared parameters are fitted; few, as the initial light is nearly exact.
-_SAMPLED = 1500
-
-
-@torch.no_grad()
-def leave_one_out(
-    alignment: Aligned,
-    prediction: Estimate,
-    solved: Solved,
-    tint: Tensor,
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Predict every flash photograph from all others.
-
-    The solution without a photograph starts from the registration of all, and from the network's
-    prediction of the first photograph, even if that is the one left out. The photograph's gain is
-    fitted to it.
-
-    Args:
-        alignment: registration of the photographs.
-        prediction: the network's.
-        solved: solution by all, whose light is the initial value.
-        tint: (1 or 3, H, W) specular tint (material_classes.py).
-
-    Returns:
-        Two medians of |log radiance of photograph - rendering| for each photograph, on one coarse
-        grid: of maps estimated from all others, NaN without flash; and of maps estimated from all.
-        With fewer than two flash photographs, nothing, and the residuals of `solved`.
-    """
-    width, height = prediction.maps.size
-    across = min(alignment.extent.across(_ACROSS), width)
-    down = round(height * across / width)
-    small = prediction.resized((down, across), alignment.extent)
-    views = alignment.on_grid(across, down, tint)
-    lit = [number for number, view in enumerate(views) if view.flash]
-    if len(lit) < 2:
-        return (), solved.residual
-    light = solved.light.of_some(range(len(views)))
-    by_all = solve(views, small, light, rounds=_ROUNDS, sampled=_SAMPLED)
-    predicted, residuals = [math.nan] * len(views), list(solved.residual)
-    for left_out in lit:
-        kept = [number for number in range(len(views)) if number != left_out]
-        some, light = [views[number] for number in kept], by_all.light.of_some(kept)
-        by_others = solve(some, small, light, by_all, rounds=_WITHOUT, sampled=_SAMPLED)
-        predicted[left_out] = left_out_residual(views[left_out], by_others)
-        residual = left_out_residual(views[left_out], by_all)
-        residuals[left_out] = residuals[left_out] if math.isnan(residual) else residual
-    return tuple(predicted), tuple(residuals)
-
-
-def left_out_residual(view: ResampledView, solved: Solved) -> float:
-    """Median absolute residual of log radiance of a photograph not used for the maps.
-
-    Each channel's gain is fitted to it first. NaN without valid texels.
-    """
-    points = points_of(view.log.shape[-2:], extent=view.extent)
-    light = light_at(0, view, replace(solved.light, gain=torch.zeros(1, 3)), points)
-    (rendered,) = log_rendered(parameters_of(solved.maps), [light])
-    residual = view.log - rendered
-    for channel in range(3):
-        valid = residual[channel][view.seen[channel]]
-        if valid.numel():
-            residual[channel] -= valid.median()
-    valid = residual[view.seen]
-    return float(valid.abs().median()) if valid.numel() else math.nan
 
 
 # Diagram of cameras and lights over the sample, with each photograph's residuals.

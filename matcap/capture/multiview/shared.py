@@ -19,6 +19,7 @@ from torch import Tensor
 
 from matcap.capture.multiview.texels import (
     GLOSS,
+    HUES,
     PARAMETERS,
     ParameterPrior,
     derivatives,
@@ -27,6 +28,7 @@ from matcap.capture.multiview.texels import (
     points_of,
     solved_in_place,
     weights,
+    with_gloss,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.camera import Doubles
@@ -47,9 +49,13 @@ _OFFSET_DEVIATION, _MISREGISTRATION = 0.06, 0.004
 # Largest distance of the flash, along each axis, from where the coarse fit has it, plane units:
 # shading that is not the flash's (folds of cloth, room light) moved it beyond any phone.
 _LARGEST_OFFSET = 0.15
-# Prior standard deviations of the change of mean log F0 and mean logit roughness from the
-# prediction; and where one photograph alone has flash, which the prediction has already used.
-_GLOSS_DEVIATION, _KNOWN_GLOSS = (0.1, 1.0), (0.01, 0.01)
+# Least prior standard deviation of log albedo: an error of the prediction's mean is common to all
+# texels, and a narrow one would say it as often as there are texels. Not of two photographs, which
+# hardly tell a lobe from albedo.
+_ALBEDO_DEVIATION = 1.0
+# Share of the prior deviations of gloss where one photograph alone has flash, which the prediction
+# has already used.
+_KNOWN_GLOSS = 0.01
 # Prior standard deviation of the log gain of a photograph; and if no texel of a mosaic is in two.
 _GAIN, _SEPARATE_GAIN = 1.5, 0.03
 
@@ -62,7 +68,7 @@ class _SharedParameters(NamedTuple):
     vignetting: Tensor
     """(2,) with r^2 and with r^4."""
     gloss: Tensor
-    """(2,) change of mean log F0 and mean logit roughness."""
+    """(K, 2 or 4) SharedLight.gloss."""
     gain: Tensor
     """(photographs - 1, 3) log gains of every photograph but the first."""
     move: Tensor
@@ -112,12 +118,14 @@ def shared_step(
         moved: indices of photographs to register; the others get the identity.
     """
     chosen, joined = _chosen(views, sampled)
-    some, mean, deviation = (
-        each.flatten(1)[:, chosen] for each in (parameters, prior.mean, prior.deviation)
-    )
+    some = parameters.flatten(1)[:, chosen]
     start = _SharedParameters.of(light, moving=bool(moved))
-    problem = _SharedFit.of(views, chosen, ParameterPrior(mean, deviation), light, start)
-    values, deviations = start.vector(), _deviations(views, light, start, moved, joined).vector()
+    some_prior = prior.at(chosen)
+    if sum(view.flash for view in views) > 2:
+        some_prior = some_prior.with_least_albedo(_ALBEDO_DEVIATION)
+    problem = _SharedFit.of(views, chosen, some_prior, light, start)
+    values = start.vector()
+    deviations = _deviations(views, light, start, prior, moved, joined).vector()
     # Prior means of gloss and flash offset are always the prediction's and the coarse fit's.
     flash = light.coarse_offset.double()
     expected = start._replace(gloss=torch.zeros_like(start.gloss), offset=flash).vector()
@@ -132,7 +140,11 @@ def shared_step(
         offset = start.parts(values).offset
         offset.clamp_(flash - _LARGEST_OFFSET, flash + _LARGEST_OFFSET)
         texel_step = texel_step - (by_shared * step.float()[:, None]).sum(1)
-        some = some + texel_step.clamp(-0.7, 0.7)[:, None]
+        some = some.clone()
+        some[:PARAMETERS] += texel_step.clamp(-0.7, 0.7)[:, None]
+        hues = start.parts(step.clamp(-1.5, 1.5)).gloss.float().clone()
+        hues[:, :2] = 0.0  # texels have log F0 and roughness of their own
+        some = with_gloss(some, problem.prior.shares, hues)
     result = start.parts(values)
     moves = [_homography(move) for move in result.move] if moved else []
     return result.onto(light), [np.eye(3)] * (len(views) - len(moves)) + moves
@@ -142,6 +154,7 @@ def _deviations(
     views: Sequence[ResampledView],
     light: SharedLight,
     start: _SharedParameters,
+    prior: ParameterPrior,
     moved: Collection[int],
     joined: bool,
 ) -> _SharedParameters:
@@ -151,7 +164,7 @@ def _deviations(
     return _SharedParameters(
         torch.full_like(start.offset, _OFFSET_DEVIATION),
         torch.tensor(light.vignetting_deviation, dtype=torch.float64),
-        torch.tensor(_KNOWN_GLOSS if one_flash else _GLOSS_DEVIATION, dtype=torch.float64),
+        (_KNOWN_GLOSS * prior.gloss_deviation if one_flash else prior.gloss_deviation).double(),
         torch.full_like(start.gain, _GAIN if joined else _SEPARATE_GAIN),
         torch.tensor(moves, dtype=torch.float64)[:, None].expand(start.move.shape),
     )
@@ -221,19 +234,21 @@ class _Equations:
 
         Args:
             prior: of the texels, (PARAMETERS, 1, N).
-            some: (PARAMETERS, 1, N) texel parameters.
+            some: (PARAMETERS or more, 1, N) texel parameters.
             values: (n,) shared parameters.
-            gloss: (2,) indices of _SharedParameters.gloss.
+            gloss: (K, 2 or 4) indices of _SharedParameters.gloss.
         """
         precision, count = prior.precision[:, 0], len(values)
-        right = precision * (prior.mean - some)[:, 0]
-        right[GLOSS] += precision[GLOSS] * values[gloss].float()[:, None]
+        shares, shared = prior.shares[:, 0], torch.zeros(count, count, dtype=torch.float64)
+        right = precision * (prior.mean - some)[:PARAMETERS, 0]
+        right[GLOSS] += precision[GLOSS] * (values[gloss[:, :2]].float().T @ shares)
         coupling = torch.zeros(PARAMETERS, count, some.shape[-1])
-        coupling[GLOSS, gloss] = -torch.diag_embed(precision[GLOSS].T).movedim(0, -1)
-        shared = torch.zeros(count, count, dtype=torch.float64)
-        shared[gloss[:, None], gloss] = torch.diag(precision[GLOSS].double().sum(1))
         shared_right = torch.zeros(count, dtype=torch.float64)
-        shared_right[gloss] = -right[GLOSS].double().sum(1)
+        for row, own in zip(range(PARAMETERS)[GLOSS], gloss[:, :2].T, strict=True):
+            weighted = shares * precision[row]
+            coupling[row, own] = -weighted
+            shared[own[:, None], own] = weighted.double() @ shares.double().T
+            shared_right[own] = -(shares.double() @ right[row].double())
         texels = torch.diag_embed(precision.T).movedim(0, -1).contiguous()
         return _Equations(texels, coupling, right, shared, shared_right)
 
@@ -325,8 +340,21 @@ class _SharedFit:
                 residual = view.log + torch.einsum("i,icxn->cxn", move, self.by_move[number]) - log
             weight = weights(residual, view.seen, view.noise)[:, 0]
             by_shared, indices = self._by_shared(number, some, log, values, index)
+            by_hue, hues = self._by_hue(by_texel[1][0], index.gloss)
+            by_shared, indices = torch.cat([by_shared, by_hue]), torch.cat([indices, hues])
             equations.add(jacobian(*by_texel), by_shared, indices, weight, residual[:, 0])
         return equations
+
+    def _by_hue(self, by_f0: Tensor, gloss: Tensor) -> tuple[Tensor, Tensor]:
+        """(k, 3, N) d log L / d hues of the materials, and their indices (k,).
+
+        Args:
+            by_f0: (3, N) d log L / d log F0.
+            gloss: (K, 2 or 4) indices of the materials' parameters.
+        """
+        hues = gloss[:, 2:]
+        changes = torch.einsum("kn,cn,uc->kucn", self.prior.shares[:, 0], by_f0, HUES)
+        return changes[:, : hues.shape[1]].flatten(0, 1), hues.flatten()
 
     def _lit(self, number: int, values: Tensor) -> DifferentiableLight:
         """Light of a photograph at the samples, with shared parameters `values`."""

@@ -29,6 +29,7 @@ from matcap.capture.multiview.ambient_light import SLOW
 from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.shared import SAMPLED, shared_step
 from matcap.capture.multiview.surface import (
+    cross_energies,
     denoised,
     integrated,
     prediction_error,
@@ -36,7 +37,6 @@ from matcap.capture.multiview.surface import (
     with_energies,
 )
 from matcap.capture.multiview.texels import (
-    GLOSS,
     ROWS,
     SLOPES,
     Estimate,
@@ -49,6 +49,7 @@ from matcap.capture.multiview.texels import (
     slopes_of,
     stepped,
     under_fitted_ambient,
+    with_gloss,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.flash.light import strips
@@ -58,9 +59,11 @@ ROUNDS: tuple[int, ...] = (2, 2, 1)
 # Prior standard deviation of slopes until the photographs have measured the error of the
 # prediction. It is wide, as each octave's gain is estimated afterwards (surface.py).
 _SLOPE = 1.0
-# Then that deviation over the measured error, for each photograph: noise of slopes from two
-# photographs is in all octaves. A photograph without flash, which measures albedo, counts as five.
-_WIDER, _UNLIT = 0.5, 5
+# The same of several materials: where gloss is strong, a slope explains any radiance.
+_GLOSSY_SLOPE, _GLOSSY_WIDER = 0.05, 1.0
+# Then that deviation over the measured error is the number of photographs less one: noise of slopes
+# from two photographs is in all octaves. One without flash, which measures albedo, counts as five.
+_UNLIT = 5
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,10 @@ class Solved:
     def maps(self) -> MapSet:
         """The estimated maps."""
         return self.estimate.maps
+
+    def replaced(self, estimate: Estimate) -> Solved:
+        """With other maps, to which the photographs contribute nothing."""
+        return replace(self, estimate=estimate, measured=(0.0,) * len(self.measured))
 
     def slope_statistics_on(self, maps: MapSet) -> tuple[float, tuple[float, ...]]:
         """prediction_error and slope_energies on a grid as fine, or finer by whole octaves."""
@@ -125,10 +132,13 @@ class _Iterate:
             slope: least prior standard deviation of slopes in this round.
             sampled: texels to which the shared parameters are fitted.
         """
-        parameters, mean_gloss = self.parameters.clone(), self.light.gloss
+        parameters, mean_gloss = self.parameters, self.light.gloss
         views = under_fitted_ambient(views, parameters, self.light)
-        light, _ = shared_step(views, parameters, self.prior, self.light, sampled)
-        parameters[GLOSS] += (light.gloss - mean_gloss)[:, None, None]
+        # Two photographs do not tell gloss from slopes; several materials have told it (basis.py).
+        narrow = len(self.prior.shares) > 1 or len(views) < 3
+        free = self.prior if narrow else self.prior.with_least_slope(slope)
+        light, _ = shared_step(views, parameters, free, self.light, sampled)
+        parameters = with_gloss(parameters, self.prior.shares, light.gloss - mean_gloss)
         widened = self.prior.with_least_slope(slope).with_gloss_of(light)
         step = replace(self.step, parameters=parameters)
         return replace(self, views=views, light=light, widened=widened, step=step)
@@ -198,7 +208,11 @@ def solve(
         parameters = _step_at_fixed_slopes(views, parameters, iterate.widened, light)
     precision = iterate.step.precision
     return Solved(
-        Estimate(maps_of(parameters, height, texel_size), _log_errors(precision, iterate.widened)),
+        Estimate(
+            maps_of(parameters, height, texel_size),
+            _log_errors(precision, iterate.widened),
+            prediction.basis and prediction.basis.changed(light.gloss),
+        ),
         light,
         _residuals(views, parameters, light),
         _shares(precision, iterate.widened),
@@ -218,7 +232,9 @@ def _initial(
     else:
         parameters = _continued(prior.mean, prediction.maps, coarser)
         error, energies = coarser.slope_statistics_on(prediction.maps)
-    prior = prior.with_least_slope(error)
+    prior, gloss = prior.with_least_slope(error), prior.gloss_deviation
+    if light.gloss.shape != gloss.shape:
+        light = replace(light, gloss=torch.zeros_like(gloss))
     light = with_ambient_gradient(views, prior.mean, light)
     return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
 
@@ -234,10 +250,12 @@ def _iterates(
         measure: whether the first round measures the error of the predicted slopes.
     """
     views = iterate.views
-    wider = _WIDER * sum(1 if view.flash else _UNLIT for view in views)
+    first, wider = _SLOPE, sum(1.0 if view.flash else _UNLIT for view in views) - 1.0
+    if len(iterate.prior.shares) > 1:
+        first, wider = _GLOSSY_SLOPE, _GLOSSY_WIDER
     for index, steps in enumerate(rounds):
         measures = measure and index == 0
-        slope = _SLOPE if measures else wider * iterate.prediction_error
+        slope = first if measures else wider * iterate.prediction_error
         iterate = iterate.with_shared(views, slope, sampled)
         for turn in range(1, steps + 1):
             last = turn == steps
@@ -273,6 +291,12 @@ def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
     result = denoised(height[0].numpy(), prediction, jackknife, keep_energy=True)
     if len(views) == 2 and views[1].flash:
         result = with_energies(result, texel_size, iterate.slope_energies)
+    if len(iterate.step.halves):
+        one, other = (
+            integrated(_without_slow(slopes, unit), texel_size)[0].numpy()
+            for slopes in iterate.step.halves
+        )
+        result = with_energies(result, texel_size, cross_energies(one, other, texel_size))
     return torch.from_numpy(result)[None]
 
 

@@ -220,12 +220,23 @@ def prediction_error(
     return error, np.array(energies)
 
 
+def cross_energies(one: Floats, other: Floats, texel_size: float) -> list[float]:
+    """Mean products of the slopes of two independently measured heights (H, W), by octave.
+
+    Noise of either does not add to them: the cross-spectrum of both.
+    """
+    bands = list(split_all([one, other], _OCTAVES))[: len(_OCTAVES)]
+    each = (texel_slopes(a) * texel_slopes(b) for a, b in bands)
+    return [float(product.mean()) / texel_size**2 for product in each]
+
+
 def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) -> Floats:
     """(H, W) height whose slopes have given mean energies in the longest of its octaves."""
     bands = split(height, _OCTAVES)
     for band, energy in zip(bands, energies, strict=False):
         current = float(np.square(texel_slopes(band)).mean()) / texel_size**2
-        band *= np.float32(np.sqrt(energy / max(current, _LEAST_VARIANCE)).clip(*_SCALED))
+        share = max(energy, 0.0) / max(current, _LEAST_VARIANCE)
+        band *= np.float32(np.sqrt(share).clip(*_SCALED))
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 

@@ -1,15 +1,21 @@
 """Per-texel parameters, and their Gauss-Newton step on the log radiance of all photographs.
 
-PARAMETERS = 7: log diffuse albedo (3), log F0, logit roughness, slopes along x and y.
+PARAMETERS = 7: log diffuse albedo (3), log F0 (of a colour, its mean over channels), logit
+roughness, slopes along x and y. Rows beyond are the log specular tint (3) of a coloured F0, which
+no step changes: it belongs to the texel's material (basis.py).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import (
@@ -43,6 +49,9 @@ from matcap.flash.light import (
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
 GLOSS, SLOPES = slice(3, 5), slice(5, 7)
 PARAMETERS, _PARTS = 7, (3, 1, 1, 2)
+TINT = slice(7, 10)
+# Log specular tint by the two parameters of a hue: red against blue, and green against both.
+HUES = torch.tensor([[1.0, 0.0, -1.0], [0.5, -1.0, 0.5]])
 # Slopes among the parameters other than albedo.
 OTHER_SLOPES, _SLOPE_X, _SLOPE_Y = slice(2, 4), 2, 3
 
@@ -52,6 +61,12 @@ _ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log r
 _NOISE = 0.02
 # Least prior standard deviation of log albedo.
 _ALBEDO = 0.25
+# Prior standard deviations of the change of log F0 and logit roughness of one material for all.
+_GLOSS_DEVIATION = torch.tensor([[0.1, 1.0]])
+# Of several materials, with both hues.
+_DIELECTRIC, _CONDUCTOR = (0.15, 1.0, 0.01, 0.01), (0.7, 1.0, 0.5, 0.5)
+_DARK = 0.01  # diffuse albedo of a conductor
+_METAL_ALBEDO = 0.7  # prior standard deviation of log albedo of a conductor
 # Prior standard deviation of log F0 and logit roughness. They are constant in a material class, so
 # it is small: wider ones scatter from texel to texel (docs/notes/several.md).
 _GLOSS = 0.07
@@ -59,6 +74,8 @@ _STEEPEST = 3.0  # largest slope
 # Levenberg-Marquardt: share of a parameter's precision added to the diagonal. Less overshoots;
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
+_HALVED = 5  # fewest photographs whose halves measure both slopes
+_HALF_PRIOR = 3.0  # factor on prior deviations for the halves, whose mean energy is measured
 ROWS = 48  # of texels solved at a time; memory is proportional
 
 
@@ -67,7 +84,7 @@ class Stepped:
     """Result of a Gauss-Newton step."""
 
     parameters: Tensor
-    """(PARAMETERS, H, W)."""
+    """(PARAMETERS or more, H, W)."""
     precision: Tensor
     """(PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded."""
     relief: Tensor
@@ -76,13 +93,82 @@ class Stepped:
     changes: Tensor
     """(photographs, some parameters, H, W) change when each photograph is left out: the jackknife
     [efron1982]. Empty unless requested."""
+    halves: Tensor
+    """(2, some parameters, H, W) by each half of the photographs alone (halves_of). Empty unless
+    requested, or with fewer than _HALVED."""
 
     @staticmethod
     def none(parameters: Tensor) -> Stepped:
         """Before any step: precision 0, relief that of independent unit slopes."""
         one = torch.ones_like(parameters[:1])
         relief = torch.cat([one, one, 0.0 * one])
-        return Stepped(parameters, torch.zeros_like(parameters), relief, parameters.new_zeros(0))
+        nothing = torch.zeros_like(parameters[:PARAMETERS])
+        return Stepped(
+            parameters, nothing, relief, parameters.new_zeros(0), parameters.new_zeros(0)
+        )
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Basis reflectances: K materials, and the share of each in every texel."""
+
+    gloss: Tensor
+    """(K, 5) log mean F0 over channels, logit roughness and log specular tint (3)."""
+    conductor: Tensor
+    """(K,) bool: without diffuse albedo."""
+    metallic: Tensor
+    """(K,) bool: F0 of any level and colour, as of a conductor, or of one mixed with a dielectric
+    below the size of a texel; else grey and near 0.04."""
+    shares: Tensor
+    """(K, H, W) shares; the sum over K is 1."""
+
+    @property
+    def metal_share(self) -> Tensor:
+        """(1, H, W) share of conductors."""
+        return self.shares[self.conductor].sum(0, keepdim=True)
+
+    @property
+    def metallic_share(self) -> NDArray[np.float32]:
+        """(H, W) share of metallic materials."""
+        return np.asarray(self.shares[self.metallic].sum(0).numpy(), np.float32)
+
+    @property
+    def deviation(self) -> Tensor:
+        """(K, 4) prior standard deviations of a change of log F0, logit roughness and hues."""
+        free, grey = torch.tensor(_CONDUCTOR), torch.tensor(_DIELECTRIC)
+        return torch.where(self.metallic[:, None], free, grey)
+
+    def resized(self, size: tuple[int, int]) -> Basis:
+        """Area average on a grid of `size` = (rows, columns) texels."""
+        return replace(self, shares=F.interpolate(self.shares[None], size=size, mode="area")[0])
+
+    def document(self) -> list[dict[str, object]]:
+        """JSON of each material: F0 by channel, roughness, whether it conducts, mean share."""
+        f0 = (self.gloss[:, :1] + self.gloss[:, 2:]).exp()
+        rough, share = torch.sigmoid(self.gloss[:, 1]), self.shares.mean((1, 2))
+        planes = zip(f0, rough, self.conductor, share, strict=True)
+        return [
+            {
+                "f0": [round(float(channel), 4) for channel in own],
+                "roughness": round(float(alpha), 3),
+                "conductor": bool(conducts),
+                "share": round(float(part), 4),
+            }
+            for own, alpha, conducts, part in planes
+        ]
+
+    def changed(self, gloss: Tensor) -> Basis:
+        """With changes (K, 4) of log F0, logit roughness and hues."""
+        change = torch.cat([gloss[:, :2], gloss[:, 2:] @ HUES], dim=1)
+        return replace(self, gloss=self.gloss + change)
+
+    def onto(self, maps: MapSet) -> MapSet:
+        """Maps with F0 and roughness of these materials, those of conductors without albedo."""
+        log_f0, rough, *tint = torch.einsum("kg,khw->ghw", self.gloss, self.shares)[:, None]
+        metal, dark = self.metal_share, math.log(_DARK)
+        albedo = ((1.0 - metal) * maps.diffuse.clamp_min(1e-3).log() + metal * dark).exp()
+        f0 = (log_f0 + torch.cat(tint)).exp().clamp(*F0_LIMITS)
+        return replace(maps, diffuse=albedo, specular=f0, roughness=torch.sigmoid(rough))
 
 
 @dataclass(frozen=True)
@@ -93,6 +179,8 @@ class Estimate:
     """Maps of the exemplar."""
     log_error: Tensor
     """(4, H, W) log of the standard deviations of log albedo, log F0, logit roughness and slope."""
+    basis: Basis | None = None
+    """Materials that texels share; None if all are one, whose F0 and roughness are the maps'."""
 
     def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:
         """Area average on a coarser grid of `size` = (rows, columns) texels over an extent."""
@@ -100,7 +188,8 @@ class Estimate:
             F.interpolate(each[None], size=size, mode="area")[0]
             for each in (self.maps.stacked(), self.log_error)
         )
-        return Estimate(MapSet.from_stacked(maps, extent.texel(size[1])), log_error)
+        basis = None if self.basis is None else self.basis.resized(size)
+        return Estimate(MapSet.from_stacked(maps, extent.texel(size[1])), log_error, basis)
 
     def with_most_error(self, log_error: Tensor) -> Estimate:
         """With logs of standard deviations of at most `log_error` (4,)."""
@@ -112,8 +201,13 @@ class ParameterPrior:
     """Independent Gaussian prior of each parameter of each texel."""
 
     mean: Tensor
+    """(PARAMETERS or more, ...) mean."""
     deviation: Tensor
-    """(PARAMETERS, ...) mean and standard deviation."""
+    """(PARAMETERS, ...) standard deviation."""
+    shares: Tensor
+    """(K, ...) share of each material in a texel; the sum over K is 1."""
+    gloss_deviation: Tensor
+    """(K, 2 or 4) prior standard deviations of SharedLight.gloss."""
 
     @staticmethod
     def of(estimate: Estimate) -> ParameterPrior:
@@ -122,7 +216,19 @@ class ParameterPrior:
         gloss = torch.full_like(albedo, _GLOSS).expand(2, -1, -1)
         albedo = albedo.clamp_min(_ALBEDO).expand(3, -1, -1)
         deviation = torch.cat([albedo, gloss, slope.expand(2, -1, -1)])
-        return ParameterPrior(parameters_of(estimate.maps), deviation)
+        mean = parameters_of(estimate.maps)
+        if estimate.basis is None:
+            return ParameterPrior(mean, deviation, torch.ones_like(mean[:1]), _GLOSS_DEVIATION)
+        basis = estimate.basis
+        deviation[ALBEDO] = torch.maximum(deviation[ALBEDO], _METAL_ALBEDO * basis.metal_share)
+        return ParameterPrior(mean, deviation, basis.shares, basis.deviation)
+
+    def at(self, chosen: Tensor) -> ParameterPrior:
+        """Of some texels, indices (1, N)."""
+        mean, deviation, shares = (
+            each.flatten(1)[:, chosen] for each in (self.mean, self.deviation, self.shares)
+        )
+        return replace(self, mean=mean, deviation=deviation, shares=shares)
 
     @property
     def precision(self) -> Tensor:
@@ -130,23 +236,44 @@ class ParameterPrior:
         return self.deviation.square().reciprocal()
 
     def with_gloss_of(self, light: SharedLight) -> ParameterPrior:
-        """With SharedLight.gloss added to the means of log F0 and logit roughness."""
-        mean = self.mean.clone()
-        mean[GLOSS] += light.gloss[:, None, None]
-        return ParameterPrior(mean, self.deviation)
+        """With SharedLight.gloss added to the means of log F0, logit roughness and tint."""
+        return replace(self, mean=with_gloss(self.mean, self.shares, light.gloss))
 
     def with_least_slope(self, slope: float) -> ParameterPrior:
         """With standard deviations of slopes of at least `slope`."""
         deviation = self.deviation.clone()
         deviation[SLOPES] = deviation[SLOPES].clamp_min(slope)
-        return ParameterPrior(self.mean, deviation)
+        return replace(self, deviation=deviation)
+
+    def with_least_albedo(self, albedo: float) -> ParameterPrior:
+        """With standard deviations of log albedo of at least `albedo`."""
+        deviation = self.deviation.clone()
+        deviation[ALBEDO] = deviation[ALBEDO].clamp_min(albedo)
+        return replace(self, deviation=deviation)
+
+
+def with_gloss(parameters: Tensor, shares: Tensor, gloss: Tensor) -> Tensor:
+    """Parameters plus the changes (K, 2 or 4) of materials with shares (K, ...).
+
+    The changes are those of log F0 and logit roughness and, of a coloured F0, along HUES.
+    """
+    changed = parameters.clone()
+    both, hues = torch.einsum("kg,k...->g...", gloss, shares).split([2, gloss.shape[1] - 2])
+    changed[GLOSS] += both
+    if len(hues):
+        changed[TINT] += torch.einsum("uc,u...->c...", HUES, hues)
+    return changed
 
 
 def parameters_of(maps: MapSet) -> Tensor:
-    """(PARAMETERS, H, W) parameters of maps; F0 is averaged over its channels."""
-    surface = SurfaceParameters.of(replace(maps, specular=maps.specular.mean(-3, keepdim=True)))
+    """(PARAMETERS, H, W) parameters of maps; with the rows of a tint if F0 has a colour."""
+    surface = SurfaceParameters.of(maps)
     slopes = slopes_of(maps.height, maps.texel_size)
-    return torch.cat([surface.diffuse, surface.specular, surface.roughness, slopes]).float()
+    log_f0 = surface.specular.mean(0, keepdim=True)
+    planes = [surface.diffuse, log_f0, surface.roughness, slopes]
+    if len(surface.specular) > 1:
+        planes.append(surface.specular - log_f0)
+    return torch.cat(planes).float()
 
 
 def limited(parameters: Tensor) -> Tensor:
@@ -158,12 +285,14 @@ def limited(parameters: Tensor) -> Tensor:
     roughness = torch.tensor([SINGLE_ROUGHNESS, ROUGHNESS_LIMITS[1]]).logit()
     steep = torch.tensor([-_STEEPEST, _STEEPEST])
     low, high = torch.stack([albedo, albedo, albedo, f0, roughness, steep, steep], dim=1)
-    return parameters.clamp(low[:, None, None], high[:, None, None])
+    solved = parameters[:PARAMETERS].clamp(low[:, None, None], high[:, None, None])
+    return torch.cat([solved, parameters[PARAMETERS:]])
 
 
 def maps_of(parameters: Tensor, height: Tensor, texel_size: float) -> MapSet:
     """Maps of parameters (PARAMETERS, H, W) and a height (1, H, W) that matches their slopes."""
-    log_albedo, log_f0, logit_roughness, _ = parameters.split(_PARTS)
+    log_albedo, log_f0, logit_roughness, _ = parameters[:PARAMETERS].split(_PARTS)
+    log_f0 = _tinted(log_f0, parameters)
     surface = SurfaceParameters(log_albedo, log_f0, logit_roughness, height / texel_size)
     return surface.maps(texel_size)
 
@@ -192,9 +321,14 @@ def log_rendered(parameters: Tensor, lights: Sequence[DifferentiableLight]) -> l
 
 def _surface(parameters: Tensor) -> tuple[Tensor, Reflectance]:
     """Normals and reflectance of parameters (PARAMETERS, h, w)."""
-    log_albedo, log_f0, logit_roughness, slopes = parameters.split(_PARTS)
-    normal = normals_from_slopes(*slopes.split(1))
-    return normal, Reflectance(log_albedo.exp(), log_f0.exp(), torch.sigmoid(logit_roughness))
+    log_albedo, log_f0, logit_roughness, slopes = parameters[:PARAMETERS].split(_PARTS)
+    normal, f0 = normals_from_slopes(*slopes.split(1)), _tinted(log_f0, parameters).exp()
+    return normal, Reflectance(log_albedo.exp(), f0, torch.sigmoid(logit_roughness))
+
+
+def _tinted(log_f0: Tensor, parameters: Tensor) -> Tensor:
+    """(1 or 3, h, w) log F0 with the tint of parameters that have one."""
+    return log_f0 + parameters[TINT] if len(parameters) > PARAMETERS else log_f0
 
 
 def under_fitted_ambient(
@@ -213,6 +347,18 @@ def weights(residual: Tensor, seen: Tensor, noise: float) -> Tensor:
     """Weights of residuals r of log radiance: 1 / (1 + (r / s)^2)^2 / variance [geman1985]."""
     kept = 1.0 / (1.0 + (residual / _ROBUST).square()).square()
     return seen * kept / (_NOISE**2 + noise**2)
+
+
+def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Tensor:
+    """(H, W) sum over photographs and channels of the cost whose weights are `weights`."""
+    points = points_of(parameters.shape[-2:], extent=views[0].extent)
+    lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
+    total = torch.zeros(parameters.shape[-2:])
+    for view, log in zip(views, log_rendered(parameters, lights), strict=True):
+        square = (view.log - log).square()
+        cost = square / (1.0 + square / _ROBUST**2) / (_NOISE**2 + view.noise**2)
+        total += 0.5 * (view.seen * cost).sum(0)
+    return total
 
 
 def stepped(
@@ -234,9 +380,13 @@ def stepped(
         slopes: whether slopes move; if not, their precision is 0.
         changed: parameters whose changes without each photograph are computed; None for none.
     """
-    moved, precision = parameters.clone(), torch.zeros_like(parameters)
+    moved, precision = parameters.clone(), torch.zeros_like(parameters[:PARAMETERS])
     relief = torch.zeros(3, *parameters.shape[1:])
-    changes = torch.zeros(len(views) if changed else 0, *parameters[changed or slice(0)].shape)
+    shape = parameters[changed or slice(0)].shape
+    changes = torch.zeros(len(views) if changed else 0, *shape)
+    places = [view.camera.place[:2] for view in views]
+    parts = halves_of(places) if changed and all(view.flash for view in views) else ()
+    halves = torch.zeros(len(parts), *shape)
     for rows in strips(parameters.shape[1], ROWS):
         part = slice(PARAMETERS if slopes else SLOPES.start), rows
         of_each = _normal_equations(views, rows, parameters[:, rows], light, slopes=slopes)
@@ -247,7 +397,33 @@ def stepped(
             relief[:, rows] = _slope_precision(factor).reshape(relief[:, rows].shape)
         for change, own in zip(changes, of_each, strict=bool(changed)):
             change[:, rows] = ((whole - own).solved(*current)[0] - moved[part])[changed]
-    return Stepped(limited(moved), precision, relief, changes)
+        wide = *current[:2], _HALF_PRIOR * current[2]
+        for half, some in zip(halves, parts, strict=True):
+            part_of = sum((of_each[n] for n in some[1:]), of_each[some[0]])
+            half[:, rows] = part_of.solved(*wide)[0][changed]
+    return Stepped(limited(moved), precision, relief, changes, halves)
+
+
+def halves_of(places: Sequence[NDArray[np.float64]]) -> tuple[tuple[int, ...], ...]:
+    """Two halves of the photographs, each with cameras to several sides; () of fewer than _HALVED.
+
+    An odd number's halves share the first photograph. The halves are those whose places (2,) have
+    the largest smallest spread along any direction.
+    """
+    count = len(places)
+    if count < _HALVED:
+        return ()
+    shared = (0,) * (count % 2)
+    others = range(len(shared), count)
+
+    def spread(some: tuple[int, ...]) -> float:
+        return float(np.linalg.eigvalsh(np.cov(np.stack([places[n] for n in some]).T))[0])
+
+    splits = []
+    for some in combinations(others, len(others) // 2):
+        rest = tuple(n for n in others if n not in some)
+        splits.append(((*shared, *some), (*shared, *rest)))
+    return max(splits, key=lambda split: min(spread(half) for half in split))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.material_classes import on_grid
 from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
 from matcap.capture.registration.camera import (
     Doubles,
@@ -59,9 +58,9 @@ class SharedLight:
     """(photographs, 3) log of each channel's exposure over the first photograph's."""
     intensity: Tensor
     """(3,) of the first photograph's flash."""
-    gloss: Tensor = field(default_factory=lambda: torch.zeros(2))
-    """(2,) change of mean log F0 and mean logit roughness from the prediction; their error scales
-    all slopes."""
+    gloss: Tensor = field(default_factory=lambda: torch.zeros(1, 2))
+    """(K, 2 or 4) change of each material's log F0 and logit roughness from the prediction, whose
+    error scales all slopes, and of its hue (texels.HUES)."""
     vignetting_deviation: tuple[float, float] = (0.4, 0.6)
     """(2,) prior standard deviations of `vignetting`."""
     ambient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
@@ -86,12 +85,13 @@ class SharedLight:
         )
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
-        """The first photograph's setup with this offset and vignetting."""
+        """The first photograph's setup with this offset, vignetting and intensity."""
         x, y = self.offset.tolist()
         lost, more = self.vignetting.tolist()
-        return replace(
-            setup, offset=(x, y, setup.offset[2]), vignetting=lost, vignetting_quartic=more
-        )
+        offset = x, y, setup.offset[2]
+        setup = replace(setup, offset=offset, vignetting=lost, vignetting_quartic=more)
+        red, green, blue = self.intensity.tolist()
+        return setup.with_intensity((red, green, blue))
 
     def of_some(self, kept: Sequence[int]) -> SharedLight:
         """Light of a subset of the photographs; kept[0] becomes the first."""
@@ -147,16 +147,13 @@ class ResampledView:
         return 0.0 if self.flash else AMBIENT_NOISE
 
     @staticmethod
-    def of(
-        view: RegisteredView, across: int, down: int, warp: ViewWarp, tint: Tensor
-    ) -> ResampledView:
+    def of(view: RegisteredView, across: int, down: int, warp: ViewWarp) -> ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
         Args:
             view: the photograph.
             across, down: texels.
             warp: map to plane points.
-            tint: (1 or 3, h, w) specular tint on any grid, divided out (material_classes.py).
         """
         photo = view.photo
         rows, columns = photo.pixels.shape[:2]
@@ -179,8 +176,9 @@ class ResampledView:
         hidden = gridded(clipped, cv2.INTER_LINEAR) > CLIPPED_SHARE
         whole = area_averaged(inside.astype(np.float32), (across, down))
         seen = ~hidden & (whole[..., None] > 0.99)
-        log = planes_of(np.log(linear)) - on_grid(tint, (across, down)).log()
-        return ResampledView(log, planes_of(seen), view.camera, view.flash, warp.extent)
+        return ResampledView(
+            planes_of(np.log(linear)), planes_of(seen), view.camera, view.flash, warp.extent
+        )
 
 
 def light_at(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -13,6 +14,7 @@ from photographed import photographed
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
 from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.relief_spectrum import spline_enlarged
 from matcap.capture.rectified import network_input
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
@@ -105,6 +107,34 @@ def _fine(maps: MapSet) -> torch.Tensor:
     log = maps.diffuse.log().mean(0)
     held = F.interpolate(F.avg_pool2d(log[None, None], 2), scale_factor=2.0)[0, 0]
     return (log - held).flatten()
+
+
+def test_enlarged_heights_have_no_grid(shot) -> None:
+    """Second differences modulo 4, of a height that is read on a quarter of the texels."""
+    noise = np.random.default_rng(6).standard_normal((384, 512)).astype(np.float32)
+    bumps = cv2.GaussianBlur(noise, (0, 0), 8.0)
+    height = torch.from_numpy(3.0 * bumps / bumps.std())[None] * shot.maps.texel_size
+    maps = replace(shot.maps, height=height)
+    linear = render_flash(maps, shot.uniform.setup, shot.points)
+    quarter = _halved(map_set_of(_halved(maps)))
+    found = transfer_detail(quarter, _plane(linear), shot.uniform).height[0]
+    for each in (found, found.T):
+        curved = np.diff(each, 2, axis=1)
+        grid = [np.sqrt(np.square(curved[:, k::4]).mean()) for k in range(4)]
+        assert max(grid) < 1.1 * min(grid)
+
+
+def test_splines_reproduce_quadratics() -> None:
+    y, x = np.mgrid[0.0:48.0, 0.0:64.0]
+    fine_y, fine_x = np.mgrid[0.0:144.0, 0.0:256.0]
+    fine_y, fine_x = (fine_y + 0.5) / 3.0 - 0.5, (fine_x + 0.5) / 4.0 - 0.5
+
+    def quadratic(x, y):
+        return (0.5 + 0.2 * x - 0.1 * y + 0.01 * x * x - 0.02 * x * y + 0.005 * y * y).astype("f4")
+
+    enlarged = spline_enlarged(quadratic(x, y), (256, 144))
+    inside = slice(40, -40), slice(52, -52)
+    assert enlarged[inside] == pytest.approx(quadratic(fine_x, fine_y)[inside], abs=1e-4)
 
 
 def test_flat_maps_stay_flat(shot) -> None:

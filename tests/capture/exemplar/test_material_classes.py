@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from photographed import photographed
-from torch import Tensor
 
 from matcap.brdf.cook_torrance import METAL_F0, SurfaceParameters
 from matcap.brdf.maps import MapSet
@@ -17,15 +16,12 @@ from matcap.capture.exemplar.material_classes import (
     BY_HEIGHT,
     Classes,
     Mixture,
-    achromatic,
     find_mixture,
     has_metal,
     metal_score,
-    on_grid,
     seen_colour,
     specular_tint,
 )
-from matcap.capture.exemplar.material_classes import coloured as material_classes_coloured
 from matcap.capture.exemplar.mean_parameters import (
     MeanParameterPrior,
     RingTarget,
@@ -202,7 +198,9 @@ ONE = torch.ones(1, MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH)
 PRIOR = MeanParameterPrior(torch.zeros(1, 5), torch.tensor([[1.0, 1.0, 1.0, 0.15, 1.0]]))
 
 
-def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Uniform]:
+def glossy(
+    roughness: float, brightness: float = 1.0, limit: float = 1.0
+) -> tuple[RingTarget, Uniform]:
     """A photograph of an even dielectric with relief, and the surface that it is fitted from."""
     shot = photographed(0.05, 0.0, width=MEAN_PARAMETERS_WIDTH, height=MEAN_PARAMETERS_HEIGHT)
     maps = replace(
@@ -219,13 +217,14 @@ def glossy(roughness: float, brightness: float = 1.0) -> tuple[RingTarget, Unifo
     uniform = Uniform((0.3, 0.3, 0.3), 0.04, 0.5, setup)
     x, y = flash_mirror_point(setup)
     target = RingTarget(
-        linear=linear.clamp_max(1.0),
-        measured=linear < 1.0,
+        linear=linear.clamp_max(limit),
+        measured=linear < limit,
         counts=torch.ones(MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH, dtype=torch.bool),
         distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
         flash=FlashLight.of(setup, shot.points),
         normal=maps.normal,
         surface=uniform.parameters(),
+        limit=limit,
     )
     return target, uniform
 
@@ -249,6 +248,15 @@ def test_a_clipped_core_is_a_lower_bound() -> None:
     target, uniform = glossy(0.25)
     assert 0.01 < float((~target.measured).float().mean()) < 0.1
     assert fitted(target, uniform)[2] == pytest.approx(0.25, rel=0.1)
+
+
+@pytest.mark.parametrize("limit", [8.0, float("inf")])
+def test_light_above_white_is_measured(limit: float) -> None:
+    target, uniform = glossy(0.2, 2.0, limit)
+    assert float(target.linear.max()) > 4.0
+    albedo, f0, found = fitted(target, uniform)
+    assert (albedo, f0) == (pytest.approx(0.2, rel=0.1), pytest.approx(0.04, rel=0.15))
+    assert found == pytest.approx(0.2, rel=0.1)
 
 
 def test_what_is_clipped_everywhere_is_raised_and_never_lowered() -> None:
@@ -330,62 +338,6 @@ def test_refining_keeps_hue_and_finds_how_bright_metal_is() -> None:
     off = (found.specular / maps.specular).log()[lit].abs().mean()
     assert float(off) < 0.1
     assert float(found.diffuse[lit].mean()) < 0.02
-
-
-# Metal's colour in a set: taken off and put back, and the same light either way.
-
-
-COPPER = torch.tensor([0.955, 0.638, 0.538])[:, None, None]
-
-
-def rusty() -> MapSet:
-    """Rust beside copper."""
-    draw = torch.Generator().manual_seed(2)
-    tone = 0.5 + torch.rand(1, 24, 32, generator=draw)
-    metal = (torch.arange(32) >= 16).float().expand(1, 24, 32)
-    rust = torch.tensor([0.22, 0.085, 0.03])[:, None, None]
-    return MapSet(
-        (0.6 * rust * tone * (1.0 - metal) + 0.002).expand(3, 24, 32),
-        0.04 * (1.0 - metal) + 0.6 * COPPER * tone * metal,
-        torch.full((1, 24, 32), 0.4),
-        0.002 * tone,
-        2.0 / 32,
-    )
-
-
-@pytest.fixture(scope="module")
-def grey_and_hue() -> tuple[MapSet, Tensor]:
-    """Rust beside copper without its hue."""
-    grey, hue = achromatic(rusty())
-    assert len(grey.specular) == 1
-    return grey, hue
-
-
-def test_what_is_taken_off_is_put_back(grey_and_hue) -> None:
-    back = material_classes_coloured(*grey_and_hue)
-    assert torch.allclose(back.stacked(), rusty().stacked(), rtol=1e-3, atol=1e-5)
-
-
-def test_grey_maps_are_left_alone() -> None:
-    maps = rusty()
-    grey = replace(maps, specular=maps.specular[:1])
-    same, hue = achromatic(grey)
-    assert torch.equal(hue, torch.ones(1, 24, 32))
-    for unchanged in (same, material_classes_coloured(grey, hue)):
-        assert torch.equal(unchanged.stacked(), grey.stacked())
-
-
-def test_a_photograph_less_its_hue_is_one_of_grey_metal(grey_and_hue) -> None:
-    grey, hue = grey_and_hue
-    whole, less = (render_rectified(maps, FlashSetup(fov=45.0)).log() for maps in (rusty(), grey))
-    assert float((whole - hue.log() - less).abs().max()) < 0.01  # what Schlick adds
-
-
-def test_hue_follows_the_grid(grey_and_hue) -> None:
-    _, hue = grey_and_hue
-    fine = on_grid(hue, (64, 48))
-    assert fine.shape == (3, 48, 64)
-    assert torch.allclose(fine[:, 20, 60], hue[:, 10, 30], rtol=0.02)
 
 
 # The flash's strength, which one photograph does not tell, by what materials are like.

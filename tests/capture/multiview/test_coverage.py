@@ -88,6 +88,15 @@ def test_a_capture_says_where_cameras_are_doubted(looked):
     assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)
 
 
+def test_a_capture_says_that_the_first_photograph_is_kept(looked):
+    own = Mosaic.own((64, 48))
+    result = SetReport(
+        looked.views, (0.1,) * 3, (), (), (0.0,) * 4, (0.0,) * 3, own, None, (0.2, 0.1)
+    )
+    assert "0.200" in result.warning() and "plaster_0 alone does (0.100)" in result.warning()
+    assert result.document()["first_alone"]
+
+
 def test_directions_are_those_of_the_upright_picture(looked):
     views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
     values = coverage(replace(looked, views=views))

@@ -29,7 +29,6 @@ from matcap.capture.multiview.mosaic import (
     seen_by_any,
     sees,
     spread_over,
-    tint_over,
     unpredicted,
     with_others,
 )
@@ -176,17 +175,18 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
 
 
 def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
-    margins = Margins(right=64)
-    mosaic, whole = Mosaic(margins, SIZE), margins.around(SIZE)[::-1]
-    gold = torch.tensor([1.3, 1.0, 0.7])[:, None, None].expand(3, *whole)
-    other = Estimate(_drawn(whole[::-1]), torch.full((4, *whole), -2.0))
-    grey = torch.ones(3, *whole)
-    found = tint_over(grey, [other], [gold], mosaic)
-    assert torch.equal(found[..., : SIZE[0]], grey[..., : SIZE[0]])
-    torch.testing.assert_close(found[..., SIZE[0] :], gold[..., SIZE[0] :])
-    none = torch.ones(1, 1, 1)
-    assert tint_over(none, [other], [gold], mosaic) is none
-    assert torch.equal(tint_over(grey, [], [], mosaic), grey)
+    margins, gold = Margins(right=64), torch.tensor([1.3, 1.0, 0.7])[:, None, None]
+    whole = margins.around(SIZE)[::-1]
+    maps = _drawn(whole[::-1])
+    other = replace(maps, specular=0.3 * gold.expand(3, *whole).contiguous())
+    over = spread_over(
+        Estimate(maps.crop(0, 0, *SIZE), torch.full((4, *SIZE[::-1]), -3.0)), margins
+    )
+    unsure = unpredicted(over.log_error, Mosaic(margins, SIZE))
+    over = replace(over, log_error=unsure)
+    found = with_others(over, [over, Estimate(other, torch.full_like(unsure, -3.0))]).maps.specular
+    torch.testing.assert_close(found[..., SIZE[0] + 4 :], other.specular[..., SIZE[0] + 4 :])
+    assert float((found[0] / found[2])[:, : SIZE[0] - 4].max()) < 1.5
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +285,7 @@ def brought(cameras):
         log_error = torch.full((4, *maps.size[::-1]), -2.0)
         return resampled_over(
             Estimate(maps, log_error), own, cameras[1], warp, VIEW_PREDICTIONS_SIZE[::-1]
-        )[0]
+        )
 
     return own, over
 

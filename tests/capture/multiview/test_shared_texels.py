@@ -18,12 +18,14 @@ from matcap.capture.multiview.ambient_light import AmbientLight
 from matcap.capture.multiview.shared import shared_step, texels_solved
 from matcap.capture.multiview.solve import solve
 from matcap.capture.multiview.surface import (
+    cross_energies,
     denoised,
     integrated,
     prediction_error,
     surface_of,
     texel_slopes,
     transposed,
+    with_energies,
 )
 from matcap.capture.multiview.texels import (
     PARAMETERS,
@@ -183,6 +185,25 @@ def test_what_noise_hides_is_drawn_as_it_was_read():
     plain, drawn = (denoised(result, true + fine, changes, keep_energy=d) for d in (False, True))
     assert _energy(drawn) > _energy(plain) + 0.2 * _energy(fine)
     assert _energy(drawn) < 1.0 + 2.0 * _energy(fine)
+
+
+def test_energies_of_two_halves_have_no_noise_in_them():
+    """Octave by octave, though noise of each is as strong as the relief."""
+    true, texel = 0.01 * _waves(20, 3.0), 2.0 / SIZE[1]
+    halves = [true + 0.01 * _waves(seed, 3.0) for seed in (21, 22)]
+    found, exact = (cross_energies(*pair, texel) for pair in (halves, (true, true)))
+    strong = np.array(exact) > 0.05 * max(exact)
+    assert strong.sum() >= 2
+    np.testing.assert_allclose(np.array(found)[strong], np.array(exact)[strong], rtol=0.25)
+
+
+def test_relief_gets_the_energy_that_halves_agree_on():
+    true, texel = _waves(23, 3.0), 2.0 / SIZE[1]
+    shrunk = with_energies(0.8 * true, texel, cross_energies(true, true, texel))
+    assert _energy(texel_slopes(shrunk)) == pytest.approx(_energy(texel_slopes(true)), rel=0.05)
+    # Halves that disagree take as much as may be taken, and no more.
+    least = with_energies(true, texel, [-1.0] * 9)
+    assert _energy(least) == pytest.approx(0.36, abs=0.05)
 
 
 # The surface whose slopes are measured, each by its precision.

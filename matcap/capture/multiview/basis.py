@@ -1,0 +1,528 @@
+"""Basis reflectances: the materials that the texels of several photographs share.
+
+Each of K materials has one F0 in colour and one roughness; a texel has a share of each, and its own
+albedo and slope [lensch2003]. A texel that no photograph shows at its mirror direction has the
+gloss of those of its material that some photograph does. Fitted by alternation on a coarse grid:
+
+1. classes start from k-means of what the dimmest half of the photographs shows, F0 and roughness
+   from a scan of roughness on flat cells, as a dielectric and as a conductor;
+2. F0, roughness and light are fitted to a sample of texels, these eliminated (shared.py);
+3. each texel's shares follow from how well each material explains all photographs of it.
+
+K is the smallest number that predicts photographs which were held back nearly best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from numpy.typing import NDArray
+from torch import Tensor
+
+from matcap.brdf.cook_torrance import (
+    ALBEDO,
+    F0,
+)
+from matcap.capture.multiview.align import Aligned
+from matcap.capture.multiview.shared import shared_step
+from matcap.capture.multiview.texels import (
+    GLOSS,
+    PARAMETERS,
+    SLOPES,
+    TINT,
+    Basis,
+    Estimate,
+    ParameterPrior,
+    log_rendered,
+    points_of,
+    robust_cost,
+    stepped,
+    with_gloss,
+)
+from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.flash.coarse.problem import (
+    CONDUCTOR_F0,
+    DIELECTRIC_F0,
+)
+
+# Settings of the fit; docs/notes/several.md.
+_ACROSS = 160  # texels across the grid
+_TRIED = (1, 2, 3, 4, 6, 8)  # numbers of materials
+_ENOUGH = 0.95  # a larger number must reduce the error of photographs held back to this share
+_HELD = 3  # every third photograph is held back
+_ROUNDS, _STEPS = 3, 2  # alternations, and Gauss-Newton steps of texels in each
+_SAMPLED = 3000  # texels to which F0, roughness and light are fitted
+_SLOPE = 0.2  # prior standard deviation of slopes
+_COUNTED = 0.03  # weight of a residual in a texel's shares, as errors are correlated
+_BLUR = 0.7  # texels, standard deviation of the smoothing of costs
+_COLOUR, _LEAST_SPREAD = 1.0, 0.1  # weight and least deviation of a material's colour
+_VIGNETTING = (0.3, 0.3)  # initial, as the falloff of one photograph takes a metal's highlight
+_MOST_F0 = 0.95  # of any material
+_CELL = 4  # side of a cell of the scan, texels
+_ROUGH = (0.12, 0.18, 0.25, 0.33, 0.42, 0.52, 0.64, 0.78)  # tried by the scan
+_SCALE = 0.5  # scale of the scan's robust cost of log radiance
+_FAR = math.log(3.0)  # log F0 over that of a dielectric from which a material is metallic
+# Log specular tint of a metallic material, at least, and precision of its log F0.
+_HUE, _CERTAIN = 0.3, 4.0
+_CONDUCTS = 0.9  # a conductor's cost over the dielectric's, at most
+_LEAST_SHARE = 0.005  # of the texels: smaller materials are dropped
+_DARK_CODE = 0.003  # radiance added before the code of the error of prediction
+_RADIUS, _SMOOTH = 3, 0.05  # of the guided filter that refines shares: texels, and log radiance
+
+Floats = NDArray[np.float32]
+
+
+def with_basis(
+    alignment: Aligned, prediction: Estimate, *, interrupted: bool
+) -> tuple[Aligned, Estimate, bool]:
+    """The prediction with F0 and roughness of shared materials, and the light fitted with them.
+
+    Both unchanged if one material predicts held-back photographs as well, or fewer than three have
+    flash; or after Ctrl-C, `interrupted` or now, which the third result says.
+    """
+    if interrupted:
+        return alignment, prediction, True
+    width, height = prediction.maps.size
+    across = min(alignment.extent.across(_ACROSS), width)
+    down = round(height * across / width)
+    views = alignment.on_grid(across, down)
+    small = prediction.resized((down, across), alignment.extent)
+    try:
+        fitted = fit_basis(views, small, alignment.light)
+    except KeyboardInterrupt:
+        return alignment, prediction, True
+    if fitted is None:
+        return alignment, prediction, False
+    coarse, light = fitted
+    fine = alignment.on_grid(width, height)
+    guides = (_dimmest(each, light).clamp_min(1e-3).log().numpy() for each in (views, fine))
+    basis = replace(coarse, shares=torch.from_numpy(_refined(coarse.shares.numpy(), *guides)))
+    brighter = (alignment.light.intensity / light.intensity)[:, None, None]
+    maps = replace(prediction.maps, diffuse=prediction.maps.diffuse * brighter)
+    prediction = replace(prediction, maps=basis.onto(maps), basis=basis)
+    return replace(alignment, light=light), prediction, False
+
+
+def fit_basis(
+    views: Sequence[ResampledView], prediction: Estimate, light: SharedLight
+) -> tuple[Basis, SharedLight] | None:
+    """The materials that predict held-back photographs best, and the light fitted with them.
+
+    None if one does, if any photograph is without flash, or with fewer than three.
+
+    Args:
+        views: photographs on a coarse grid.
+        prediction: the network's, on the same grid.
+        light: initial value.
+    """
+    if len(views) < 3 or not all(view.flash for view in views):
+        return None
+    fit = _chosen(views, prediction, light)
+    if fit is None:
+        return None
+    return fit.current, replace(fit.light, gloss=torch.zeros_like(fit.light.gloss))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Materials, and the texels under them."""
+
+    views: Sequence[ResampledView]
+    prediction: Estimate
+    """The network's, whose albedo is the prior of dielectrics'."""
+    basis: Basis
+    """Prior means of the materials; SharedLight.gloss is their change."""
+    certain: Tensor
+    """(K,) precision of each material's log F0, for the common scale of all."""
+    light: SharedLight
+    parameters: Tensor
+    """(PARAMETERS or more, H, W) of the texels."""
+
+    @staticmethod
+    def begun(views: Sequence[ResampledView], prediction: Estimate, light: SharedLight) -> _Fit:
+        """One material: the prediction."""
+        prior = ParameterPrior.of(prediction)
+        light = replace(light, gloss=torch.zeros_like(prior.gloss_deviation))
+        no = torch.zeros(1, dtype=torch.bool)
+        basis = Basis(torch.zeros(1, 5), no, no, prior.shares)
+        return _Fit(views, prediction, basis, torch.zeros(1), light, prior.mean)
+
+    @property
+    def current(self) -> Basis:
+        """The materials."""
+        return self.basis.changed(self.light.gloss)
+
+    @property
+    def prior(self) -> ParameterPrior:
+        """Of the texels, before SharedLight.gloss, with slopes of 0."""
+        prediction = self.prediction
+        if self.light.gloss.shape[1] > 2:
+            maps = self.basis.onto(prediction.maps)
+            prediction = replace(prediction, maps=maps, basis=self.basis)
+        prior = ParameterPrior.of(prediction)
+        prior.mean[SLOPES] = 0.0
+        prior.deviation[SLOPES] = _SLOPE
+        return prior
+
+    def restarted(self, slopes: Tensor | float) -> _Fit:
+        """With the materials' gloss, albedo of dielectrics as the dimmest photographs show it."""
+        parameters = self.prior.with_gloss_of(self.light).mean
+        albedo = (math.pi * _dimmest(self.views, self.light)).clamp(1e-3, 1.0).log()
+        parameters[ALBEDO] = torch.lerp(albedo, parameters[ALBEDO], self.basis.metal_share)
+        parameters[SLOPES] = slopes
+        return replace(self, parameters=parameters)
+
+    def stepped(self) -> _Fit:
+        """Gauss-Newton steps of the texels."""
+        prior, parameters = self.prior.with_gloss_of(self.light), self.parameters
+        for _ in range(_STEPS):
+            parameters = stepped(self.views, parameters, prior, self.light).parameters
+        return replace(self, parameters=parameters)
+
+    def with_shared(self) -> _Fit:
+        """Fit materials and light, the texels eliminated."""
+        light, _ = shared_step(self.views, self.parameters, self.prior, self.light, _SAMPLED)
+        change = light.gloss - self.light.gloss
+        parameters = with_gloss(self.parameters, self.basis.shares, change)
+        return replace(self, light=light, parameters=parameters)
+
+    def with_shares(self, shares: Tensor) -> _Fit:
+        """With other shares, without materials of hardly any texel."""
+        kept = shares.mean((1, 2)) >= _LEAST_SHARE
+        shares = shares[kept] / shares[kept].sum(0).clamp_min(1e-6)
+        light = replace(self.light, gloss=self.light.gloss[kept])
+        old = self.basis
+        basis = Basis(old.gloss[kept], old.conductor[kept], old.metallic[kept], shares)
+        fit = replace(self, basis=basis, certain=self.certain[kept], light=light)
+        mean, parameters = fit.prior.with_gloss_of(light).mean, self.parameters.clone()
+        parameters[GLOSS], parameters[TINT] = mean[GLOSS], mean[TINT]
+        return replace(fit, parameters=parameters)
+
+    def scaled(self, factor: Tensor) -> _Fit:
+        """With albedo and F0 multiplied by exp(factor), (1,) or (3,), under as much less light."""
+        maps = self.prediction.maps
+        diffuse = maps.diffuse * factor.exp()[:, None, None]
+        intensity, gloss = self.light.intensity / factor.exp(), self.light.gloss.clone()
+        gloss[:, 0] += factor.mean()
+        parameters = self.parameters.clone()
+        parameters[F0] += factor.mean()
+        parameters[ALBEDO] += factor[:, None, None] * (1.0 - self.basis.metal_share)
+        return replace(
+            self,
+            prediction=replace(self.prediction, maps=replace(maps, diffuse=diffuse)),
+            light=replace(self.light, intensity=intensity, gloss=gloss),
+            parameters=parameters,
+        )
+
+    def with_metallic(self) -> _Fit:
+        """Materials far above a dielectric become metallic: F0 of dielectrics is nearly one."""
+        gloss, grey = self.current.gloss, ~self.basis.metallic
+        if not grey.any():
+            return self
+        bright = grey & (gloss[:, 0] > gloss[grey, 0].min() + _FAR)
+        base = gloss.where(bright[:, None], self.basis.gloss)
+        basis = replace(self.basis, gloss=base, metallic=self.basis.metallic | bright)
+        light = replace(self.light, gloss=self.light.gloss.masked_fill(bright[:, None], 0.0))
+        certain = self.certain.masked_fill(bright, CONDUCTOR_F0.deviation**-2)
+        return replace(self, basis=basis, light=light, certain=certain)
+
+    def calibrated(self) -> _Fit:
+        """With the scale at which F0 of all materials is most probable."""
+        means = torch.tensor([DIELECTRIC_F0.mean, CONDUCTOR_F0.mean])[self.basis.metallic.int()]
+        weights = self.certain * self.basis.shares.mean((1, 2))
+        gloss = self.current.gloss
+        off = (weights * (means - gloss[:, 0])).sum() / weights.sum().clamp_min(1e-9)
+        brightest = (gloss[:, :1] + gloss[:, 2:]).max()
+        return self.scaled(torch.minimum(off, math.log(_MOST_F0) - brightest)[None])
+
+
+def _chosen(views: Sequence[ResampledView], small: Estimate, light: SharedLight) -> _Fit | None:
+    """The fit of the best number of materials to all photographs; None for one."""
+    held = [n for n in range(1, len(views)) if n % _HELD == _HELD - 1]
+    kept = [n for n in range(len(views)) if n not in held]
+    some, of_some = [views[n] for n in kept], light.of_some(kept)
+    best, least, misses = 1, math.inf, 0
+    for count in _TRIED:
+        fit = _fitted(some, small, of_some, count)
+        error = float(np.mean([_predicted(views[n], fit) for n in held]))
+        if error < _ENOUGH * least:
+            best, least, misses = count, error, 0
+        else:
+            misses += 1
+        if misses == 2:
+            break
+    return None if best == 1 else _fitted(views, small, light, best)
+
+
+def _fitted(
+    views: Sequence[ResampledView], small: Estimate, light: SharedLight, count: int
+) -> _Fit:
+    """Alternate between materials, texels and shares, from `count` clusters.
+
+    One material is the prediction with its own F0 and roughness.
+    """
+    fit = _Fit.begun(views, small, light)
+    if count > 1:
+        fit = _started(fit, _clusters(_dimmest(views, light), count)).restarted(0.0)
+    for number in range(_ROUNDS):
+        fit = fit.with_shared().stepped()
+        fit = fit.with_metallic().calibrated() if count > 1 else fit
+        if count > 1 and number < _ROUNDS - 1:
+            fit = fit.with_shares(_shares(fit))
+    return fit
+
+
+def _shares(fit: _Fit) -> Tensor:
+    """(K, H, W) shares by the cost of each texel as either material, albedo and slope refitted."""
+    costs = []
+    for number, conducts in enumerate(fit.basis.conductor):
+        shares = torch.zeros_like(fit.basis.shares)
+        shares[number] = 1.0
+        only = replace(fit, basis=replace(fit.basis, shares=shares))
+        only = only.restarted(fit.parameters[SLOPES]).stepped()
+        cost = robust_cost(fit.views, only.parameters, fit.light) * _COUNTED
+        off = (only.parameters - only.prior.mean)[:PARAMETERS] / only.prior.deviation
+        for part in (SLOPES, ALBEDO) if conducts else (SLOPES,):
+            cost = cost + 0.5 * off[part].square().sum(0)
+        costs.append(torch.from_numpy(cv2.GaussianBlur(cost.numpy(), (0, 0), _BLUR)))
+    total = torch.stack(costs)
+    if len(total) > 1:
+        features = _features(_dimmest(fit.views, fit.light))
+        total = total + _COLOUR * _colour_costs(features, torch.softmax(-total, 0))
+    return torch.softmax(-total, 0)
+
+
+def _colour_costs(features: Tensor, shares: Tensor) -> Tensor:
+    """(K, H, W) negative log density of features (3, H, W) by material, as Gaussians.
+
+    A texel whose gloss no photograph shows has that of texels of its colour.
+    """
+    flat, costs = features.flatten(1), []
+    for share in shares.flatten(1):
+        total = share.sum().clamp_min(1e-6)
+        mean = (flat * share).sum(1) / total
+        off = flat - mean[:, None]
+        covariance = (off * share) @ off.T / total + _LEAST_SPREAD**2 * torch.eye(3)
+        factor = torch.linalg.cholesky(covariance)
+        squares = torch.linalg.solve_triangular(factor, off, upper=False).square().sum(0)
+        size = (total / share.numel()).log()
+        costs.append(0.5 * squares + factor.diagonal().log().sum() - size)
+    return torch.stack(costs).reshape(shares.shape)
+
+
+def _reflected(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
+    """(n, 3, H, W) radiance over irradiance of the flat plane, NaN where not seen."""
+    size = views[0].log.shape[-2:]
+    points, up = points_of(size, extent=views[0].extent), torch.zeros(3, *size)
+    up[2] = 1.0
+    lit = (light_at(n, view, light, points).onto(up) for n, view in enumerate(views))
+    each = (view.log.exp() / on.irradiance for view, on in zip(views, lit, strict=True))
+    planes = (
+        plane.where(view.seen.all(0), torch.nan) for view, plane in zip(views, each, strict=True)
+    )
+    return torch.stack(list(planes))
+
+
+def _dimmest(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
+    """(3, H, W) mean of the dimmest half of the photographs of each texel, over irradiance."""
+    reflected = _reflected(views, light)
+    order = reflected.sum(1, keepdim=True).nan_to_num(torch.inf).argsort(0).expand_as(reflected)
+    half = reflected.gather(0, order)[: max(1, len(views) // 2)]
+    return half.nanmean(0).nan_to_num(1e-3)
+
+
+def _clusters(dim: Tensor, count: int) -> Tensor:
+    """(count, H, W) one-hot clusters of the features of `dim` (3, H, W)."""
+    flat = np.ascontiguousarray(_features(dim).flatten(1).T.numpy())
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+    cv2.setRNGSeed(0)
+    labels = cv2.kmeans(flat, count, None, stop, 5, cv2.KMEANS_PP_CENTERS)[1][:, 0]  # type: ignore[call-overload]
+    one_hot = functional.one_hot(torch.from_numpy(labels).long(), count).float()
+    return one_hot.T.reshape(count, *dim.shape[1:])
+
+
+def _features(dim: Tensor) -> Tensor:
+    """(3, H, W) log ratios and log luminance of what the dimmest photographs show (3, H, W)."""
+    log = dim.clamp_min(1e-4).log().numpy()
+    red, green, blue = (cv2.GaussianBlur(plane, (0, 0), 1.0) for plane in log)
+    ratios = 2.0 * (red - green), 2.0 * (blue - green)
+    features = np.stack([*ratios, 0.7 * (red + green + blue) / 3.0])
+    return torch.from_numpy(np.asarray(features, np.float32))
+
+
+def _started(fit: _Fit, shares: Tensor) -> _Fit:
+    """Materials of given shares by a scan of roughness on flat cells, under a white flash.
+
+    Each is a dielectric or a conductor, whichever explains the cells better.
+    """
+    white = fit.light.intensity.log().mean().exp().expand(3)
+    light = replace(fit.light, intensity=white, vignetting=torch.tensor(_VIGNETTING))
+    reflected, lobes = _reflected(fit.views, light), _lobes(fit.views, light)
+    fits = [
+        [
+            min(((_ROUGH[n], fitted(cells, lobe)) for n, lobe in enumerate(lobes)), key=_cost_of)
+            for fitted in (_dielectric, _conductor)
+        ]
+        for cells in (_cell_means(reflected, share) for share in shares)
+    ]
+    conductor = [_cost_of(other) < _CONDUCTS * _cost_of(matte) for matte, other in fits]
+    gloss, certain = [], []
+    for fit_of, metal in zip(fits, conductor, strict=True):
+        rough, scanned = fit_of[metal]
+        log_f0 = scanned.f0.log()
+        level = log_f0.mean(0, keepdim=True)
+        gloss.append(torch.cat([level, torch.tensor([rough]).logit(), log_f0 - level]))
+        prior = CONDUCTOR_F0 if metal else DIELECTRIC_F0
+        error = 0.0 if metal else rough  # a wide lobe may be albedo's, or the falloff's
+        variance = prior.deviation**2 + error**2 + 1.0 / max(scanned.information, 1e-6)
+        certain.append(1.0 / variance)
+    conducts, coloured = torch.tensor(conductor), torch.stack(gloss)[:, 2:].abs().amax(1) > _HUE
+    metallic = conducts | (coloured & (torch.tensor(certain) > _CERTAIN))
+    basis = Basis(torch.stack(gloss), conducts, metallic, shares)
+    nothing = torch.zeros(len(shares), 4)
+    light = replace(light, gloss=nothing)
+    fit = replace(fit, basis=basis, certain=torch.tensor(certain), light=light)
+    fit = replace(fit, parameters=fit.prior.mean).calibrated()
+    # The prior of dielectrics is grey and 0.04, that of conductors what the scan measured.
+    base, grey = fit.current.gloss, ~basis.metallic
+    base[grey, 0], base[grey, 2:] = DIELECTRIC_F0.mean, 0.0
+    return replace(
+        fit,
+        basis=replace(basis, gloss=base),
+        light=replace(fit.light, gloss=nothing),
+    )
+
+
+class _Scanned(NamedTuple):
+    """A material of one roughness on flat cells."""
+
+    cost: float
+    """Mean robust cost."""
+    f0: Tensor
+    """(3,) F0."""
+    information: float
+    """Precision of log F0: 1 / variance."""
+
+
+def _cost_of(scanned: tuple[float, _Scanned]) -> float:
+    """Cost of a roughness and its fit."""
+    return scanned[1].cost
+
+
+def _dielectric(cells: Tensor, lobe: Tensor) -> _Scanned:
+    """Fit of cells with albedo of their own, F0 in common."""
+    seen, light = ~cells.isnan(), cells.nan_to_num(1.0).clamp_min(1e-6)
+    given, f0 = seen / light.square(), torch.full((3, 1, 1), 0.04)
+    kept = torch.ones_like(light)
+    for _ in range(6):
+        weight = given * kept
+        albedo = (weight * (light - f0 * lobe)).sum(0) / weight.sum(0).clamp_min(1e-9)
+        albedo = albedo.clamp_min(1e-4)
+        over = weight * lobe
+        f0 = (over * (light - albedo)).sum((0, 2, 3)) / (over * lobe).sum((0, 2, 3)).clamp_min(1e-9)
+        f0 = f0.clamp(1e-3, 1.0)[:, None, None]
+        residual = ((albedo + f0 * lobe).log() - light.log()) / _SCALE
+        kept = (1.0 + residual.square()).reciprocal().square()
+    glossy = (f0 * lobe / (albedo + f0 * lobe)).where(seen, torch.nan)
+    contrast = (glossy - glossy.nanmean(0)).square().nan_to_num(0.0) * kept
+    information = float(contrast.sum() / 3.0 / _SCALE**2)
+    return _Scanned(_cost(residual, seen), f0.flatten(), information)
+
+
+def _conductor(cells: Tensor, lobe: Tensor) -> _Scanned:
+    """Fit of cells without albedo, each with a scale of its own."""
+    seen = ~cells.isnan()
+    log = cells.nan_to_num(1.0).clamp_min(1e-6).log() - lobe.clamp_min(1e-6).log()
+    kept, scale, residual = seen.float(), log, log
+    for _ in range(6):
+        scale = (kept * log).sum(0) / kept.sum(0).clamp_min(1e-6)
+        residual = (log - scale) / _SCALE
+        kept = seen * (1.0 + residual.square()).reciprocal().square()
+    by_cell = kept.sum(0)
+    f0 = ((by_cell * scale).sum((1, 2)) / by_cell.sum((1, 2)).clamp_min(1e-6)).exp()
+    return _Scanned(_cost(residual, seen), f0, float(kept.sum()))
+
+
+def _cost(residual: Tensor, seen: Tensor) -> float:
+    """Mean robust cost of the residuals seen."""
+    square = residual.square()
+    return float((seen * square / (1.0 + square)).sum() / seen.sum().clamp_min(1))
+
+
+def _predicted(view: ResampledView, fit: _Fit) -> float:
+    """Mean absolute error of the code of a photograph that was held back, its gains fitted."""
+    light = replace(fit.light, gain=torch.zeros(1, 3))
+    lit = light_at(0, view, light, points_of(view.log.shape[-2:], extent=view.extent))
+    (log,) = log_rendered(fit.parameters, [lit])
+    errors = []
+    for channel in range(3):
+        seen = view.seen[channel]
+        if seen.any():
+            true, rendered = view.log[channel][seen], log[channel][seen]
+            rendered = rendered + (true - rendered).median()
+            errors.append((_code(rendered) - _code(true)).abs().mean())
+    return float(torch.stack(errors).mean()) if errors else math.nan
+
+
+def _code(log: Tensor) -> Tensor:
+    """Code of log radiance, in which errors count about as the eye counts them."""
+    return (log.exp().clamp_max(1.0) + _DARK_CODE) ** (1.0 / 2.4)
+
+
+def _refined(shares: Floats, coarse: Floats, fine: Floats) -> Floats:
+    """(K, H, W) shares of a coarse grid on a finer one, by a guided filter [he2013].
+
+    Args:
+        shares: (K, h, w).
+        coarse, fine: (3, h, w) and (3, H, W) guides, log radiance.
+    """
+    side = 2 * _RADIUS + 1
+
+    def mean(plane: Floats) -> Floats:
+        return np.asarray(cv2.blur(plane, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
+
+    means = np.stack([mean(plane) for plane in coarse])
+    covariance = np.empty((3, 3, *coarse.shape[1:]), np.float32)
+    for i in range(3):
+        for j in range(3):
+            covariance[i, j] = mean(coarse[i] * coarse[j]) - means[i] * means[j]
+    covariance += (_SMOOTH**2 * np.eye(3, dtype=np.float32))[..., None, None]
+    inverse = np.linalg.inv(np.moveaxis(covariance, (0, 1), (-2, -1)))
+    size = fine.shape[:0:-1]
+    refined = []
+    for share in shares:
+        level = mean(share)
+        along = np.stack([mean(share * plane) for plane in coarse]) - level * means
+        slope = np.einsum("hwij,jhw->ihw", inverse, along)
+        rest = level - (slope * means).sum(0)
+        planes = [mean(plane) for plane in (*slope, rest)]
+        *slope, rest = (cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR) for plane in planes)
+        refined.append((np.stack(slope) * fine).sum(0) + rest)
+    sharp = np.stack(refined).clip(1e-3, 1.0) ** 2
+    return np.asarray(sharp / sharp.sum(0), np.float32)
+
+
+def _lobes(views: Sequence[ResampledView], light: SharedLight) -> list[Tensor]:
+    """(n, 1, h, w) specular radiance over irradiance of F0 = 1 on flat cells, by roughness."""
+    height, width = (max(1, side // _CELL) for side in views[0].log.shape[-2:])
+    points, up = points_of((height, width), extent=views[0].extent), torch.zeros(3, height, width)
+    up[2] = 1.0
+    lit = [light_at(n, view, light, points).onto(up) for n, view in enumerate(views)]
+    one = torch.ones(1, height, width)
+    return [torch.stack([on.mirrored(one, rough * one) for on in lit]) for rough in _ROUGH]
+
+
+def _cell_means(reflected: Tensor, share: Tensor) -> Tensor:
+    """(n, 3, h, w) means over the texels of a material in each cell, NaN without enough of them."""
+    weight = share * ~reflected.isnan().any(1, keepdim=True)
+    mean, count = (
+        functional.avg_pool2d(each, _CELL) for each in (reflected.nan_to_num(0.0) * weight, weight)
+    )
+    return (mean / count.clamp_min(1e-6)).where(count > 0.2, torch.nan)

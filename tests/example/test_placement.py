@@ -1,0 +1,175 @@
+"""Which places of an exemplar a field shows: none that depart by a trend, none twice in sight."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exemplars import an_example, exemplar
+
+from matcap.example.candidates import planes_of
+from matcap.example.evenness import trend_penalty
+from matcap.example.example import Example
+from matcap.example.index import Frame
+from matcap.example.placement import PatchNumbers, Placement, reuse_cost, spread_patches
+from matcap.field.plane import Rectangle
+
+SIDES = 512, 384
+WINDOW = 48
+
+
+def waves(random, width, height, along):
+    """Noise of wavelengths of 8 to 16 texels, of waves within 30 degrees of an axis."""
+    fy, fx = np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)
+    angle = np.arctan2(np.abs(fy), np.abs(fx) + 1e-9)
+    off = angle if along == "x" else np.pi / 2 - angle
+    octave = np.log2(np.maximum(np.hypot(fx, fy), 1e-9) * 11.0)
+    share = (np.abs(octave) < 0.5) * (off < np.pi / 6)
+    noise = np.fft.ifft2(np.fft.fft2(random.standard_normal((height, width))) * share).real
+    return noise / noise.std()
+
+
+def combed(width=SIDES[0], height=SIDES[1], seed=3):
+    """Relief of which only waves towards the middle are known, as under one flash."""
+    random = np.random.default_rng(seed)
+    across, down = (waves(random, width, height, along) for along in "xy")
+    y, x = np.mgrid[0:height, 0:width]
+    angle = np.arctan2(y - height / 2, x - width / 2)
+    relief = np.cos(angle) ** 2 * across + np.sin(angle) ** 2 * down
+    flat = np.zeros_like(relief)
+    return exemplar(np.stack([flat, flat, flat, relief]))
+
+
+def even(width=SIDES[0], height=SIDES[1], seed=4):
+    """Relief of all waves everywhere."""
+    random = np.random.default_rng(seed)
+    relief = sum(waves(random, width, height, along) for along in "xy")
+    flat = np.zeros_like(relief)
+    return exemplar(np.stack([flat, flat, flat, relief]))
+
+
+def squares(piece):
+    return tuple(-(-side // 4) for side in piece.size[::-1])
+
+
+def unevenness(heights, texel_size):
+    """Standard deviation over windows of log contrast, lit from the left and from the top."""
+    down, right = np.gradient(heights / texel_size)
+    logs = []
+    for slope in (right, down):
+        shaded = np.log(np.maximum(0.5 - 0.86 * slope, 0.05))
+        rows, columns = (side // WINDOW * WINDOW for side in shaded.shape)
+        cut = shaded[:rows, :columns].reshape(rows // WINDOW, WINDOW, -1, WINDOW)
+        logs.append(np.log(cut.std(axis=(1, 3))).std())
+    return np.array(logs)
+
+
+def field_of(example, seed=1):
+    return example.maps(seed, Rectangle(0, 0, 768, 576), None)[-1]
+
+
+def test_a_field_of_combed_relief_is_no_quilt():
+    piece = combed()
+    made = Example.of(piece)
+    without = replace(made, index=replace(made.index, penalty=0 * made.index.penalty))
+    before, after = (unevenness(field_of(e), piece.texel_size) for e in (without, made))
+    assert (after < 0.75 * before).all()
+
+
+def test_material_without_a_trend_has_no_penalty():
+    piece = even()
+    assert trend_penalty(planes_of(piece), np.ones(squares(piece), bool)).max() == 0.0
+
+
+def test_what_one_side_lacks_is_still_shown():
+    # The left has scratches, which is no trend that exceeds what the rest of the variation does.
+    piece = even()
+    random = np.random.default_rng(7)
+    albedo = piece.diffuse.copy()
+    marks = np.stack([random.integers(8, s - 8, 60) for s in SIDES], axis=1)
+    for x, y in marks[marks[:, 0] < SIDES[0] // 2]:
+        albedo[:, y - 2 : y + 3, x - 2 : x + 3] *= 0.5
+    made = Example.of(replace(piece, diffuse=albedo))
+    places = made.places(1, Rectangle(0, 0, 1024, 1024), None)
+    left = float((places[..., 0] < SIDES[0] // 2).mean())
+    assert 0.3 < left < 0.7
+
+
+def test_no_known_place_gives_no_penalty():
+    piece = even(64, 48)
+    assert not trend_penalty(planes_of(piece), np.zeros(squares(piece), bool)).any()
+
+
+def shared(x, y, side):
+    """Sum over neighbouring patches of the share of what both show."""
+    total = 0.0
+    for dy, dx in ((0, 1), (1, 0), (1, 1)):
+        in_field = [at[dy:, dx:] - at[: len(at) - dy, : at.shape[1] - dx] for at in (x, y)]
+        total += np.prod([np.maximum(side - np.abs(a), 0) / side for a in in_field], axis=0).sum()
+    return total
+
+
+def test_patches_near_each_other_show_different_places():
+    frame, side = Frame(64, 64, 900, 700), 128
+    cost = np.zeros((200, 250), np.int32)
+    numbers = PatchNumbers(np.arange(12), None, side)
+    x, y = spread_patches(Placement(cost, 2), 5, 4, frame, (numbers, numbers))
+    random = np.random.default_rng(1)
+    other = (
+        random.integers(frame.left, frame.right + 1, x.shape),
+        random.integers(frame.top, frame.bottom + 1, x.shape),
+    )
+    assert shared(x, y, side) < 0.3 * shared(*other, side)
+
+
+@pytest.mark.parametrize("count", [None, 5, 7, 12])
+def test_a_patch_is_the_same_whatever_else_is_laid(count):
+    frame, side = Frame(64, 64, 900, 700), 128
+    cost = np.random.default_rng(2).integers(0, 1 << 20, (200, 250)).astype(np.int32)
+    placement = Placement(cost, 2)
+
+    def laid(columns, rows):
+        axes = [PatchNumbers(np.array(n), count, side) for n in (columns, rows)]
+        return spread_patches(placement, 5, 4, frame, tuple(axes))
+
+    many = laid(range(5), range(5))
+    one = laid([3], [2])
+    assert one[0][0, 0] == many[0][2, 3]
+    assert one[1][0, 0] == many[1][2, 3]
+
+
+def test_reuse_costs_by_area_and_nearness_and_a_continuation_nothing():
+    def cost(x, y, side, *wrap):
+        shift = np.array([x]), np.array([y])
+        return int(reuse_cost(shift, (side, 0), (side, side), *wrap)[0])
+
+    assert cost(0, 0, 100) > cost(50, 0, 100) > cost(0, 100, 100) == 0
+    assert cost(100, 0, 100) == 0
+    # Patches of a whole exemplar of 800 texels: the end of one begins the other.
+    assert cost(600, 0, 800, (800, 800)) > 0
+    assert cost(0, 0, 800, (800, 800)) == 0
+
+
+def test_means_of_costs_are_those_of_what_a_patch_shows():
+    cost = np.random.default_rng(3).integers(0, 1000, (40, 50)).astype(np.int32)
+    placement = Placement.of(cost, 2, (32, 16), None)
+    y, x = 20, 30
+    assert placement.cost[y, x] == pytest.approx(cost[18:22, 26:34].mean(), abs=2)
+    joined = Placement.of(cost, 2, (32, 16), Frame(0, 0, 199, 159))
+    around = np.take(np.take(cost, range(-2, 2), 0, mode="wrap"), range(-4, 4), 1, mode="wrap")
+    assert joined.cost[0, 0] == pytest.approx(around.mean(), abs=2)
+    assert (Placement.of(cost, 1, (32, 16), None).cost == cost).all()
+
+
+def test_a_file_without_a_rule_has_the_first():
+    example = an_example()
+    tensors, about = example.stored()
+    assert about["index"]["placement"] == example.index.rule == 2
+    about = json.loads(json.dumps(about))
+    del about["index"]["placement"]
+    old = Example.read(about, tensors.__getitem__)
+    assert old.lookup.rule == old.index.rule == 1
+    assert "placement" not in old.stored()[1]["index"]
+    about["index"]["placement"] = 3
+    with pytest.raises(ValueError, match="rule 3"):
+        Example.read(about, tensors.__getitem__)
