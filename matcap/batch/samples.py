@@ -34,7 +34,8 @@ Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
 Brackets = Callable[[Sequence[Path]], list[tuple[Path, ...]]]
 
-_CAMERA = (".jpg", ".jpeg", ".heic", ".heif", ".hif", ".avif")  # that cameras write with a RAW
+# That cameras write with a RAW; .jfif and .jpe are JPEGs as browsers save them.
+_CAMERA = (".jpg", ".jpeg", ".jpe", ".jfif", ".heic", ".heif", ".hif", ".avif")
 _OTHER = (".png", ".tif", ".tiff", ".webp", ".exr", ".hdr")
 # Folders of thumbnails, trash and snapshots that network drives and systems create.
 _NO_SHOOTS = frozenset({

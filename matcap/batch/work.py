@@ -158,7 +158,7 @@ def photo_pixels(path: Path) -> tuple[int, bool]:
             except Image.DecompressionBombError:  # above Pillow's limit
                 return MOST_PIXELS, False
     except Exception:
-        return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".png")
+        return _USUAL_PIXELS, path.suffix.lower() not in (".jpg", ".jpeg", ".jpe", ".jfif", ".png")
 
 
 def pool_size(wanted: int | None, each: int, jobs: int) -> int:

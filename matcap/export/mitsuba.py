@@ -186,6 +186,8 @@ def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) 
     ET.SubElement(texture, "string", name="filename", value=file)
     raw = "false" if colour and file.endswith((".png", ".jpg")) else "true"
     ET.SubElement(texture, "boolean", name="raw", value=raw)
+    # By default ("auto") Mitsuba keeps integers of 16 bits as half floats, which have 11.
+    ET.SubElement(texture, "string", name="format", value="variant")
     # Mitsuba maps a picture's first row to v = 0, the rectangle's lower border.
     upright = ET.SubElement(texture, "transform", name="to_uv")
     ET.SubElement(upright, "scale", x="1", y="-1")

@@ -43,7 +43,7 @@ def read_picture(path: Path) -> EnvironmentPicture:
         raise MatcapError.at(where, "no such file", "check the path")
     pixels = read_pixels(path, outside=0.0)
     picture, notes = linear_colours(pixels)
-    for sentence in notes:
+    for sentence in (*pixels.notes, *notes):
         note(f"{where}: {sentence}")
     if pixels.whole:
         note(f"{where}: code values, not light: decoded, and nothing is brighter than white (1.0)")

@@ -8,27 +8,35 @@ import tempfile
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import LINEAR, LUMINANCE, rec709_from, srgb_picture
+from matcap.files.color import (
+    LINEAR,
+    LUMINANCE,
+    largest_code,
+    linear,
+    rec709_from,
+    srgb_picture,
+)
 from matcap.files.exr import (
     MAGIC,
     forget_error,
     radiance_header,
-    refuse_deep,
     stated_primaries,
     write_exr,
 )
-from matcap.files.names import check_suffix
+from matcap.files.layers import meant_layer
+from matcap.files.names import check_suffix, note
 from matcap.files.output import Output
 from matcap.files.process import quiet_decoders
-from matcap.files.stated_color import lineariser_of, stated_color
+from matcap.files.stated_color import lineariser_of, space_of_name, stated_color
+from matcap.files.tiff import NO_RGB, TiffPicture, is_tiff, meant_picture
 
 # Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
 
@@ -54,6 +62,35 @@ def unsupported_jpeg(path: Path) -> str:
             length = int.from_bytes(file.read(2), "big")
             file.seek(max(length - 2, 0), 1)
     return ""
+
+
+# JPEGs that lack their end marker alone, as copies and network cameras leave them.
+
+NO_END = "The JPEG lacks its end marker; all of its picture is there."
+_END = b"\xff\xd9"
+# Appended in turn: where a picture lacks codes, they decode to different ones.
+_FILLERS = (b"", b"\x5a" * 64, b"\xa5\x13" * 64)
+
+
+def with_end(path: Path) -> bytes | None:
+    """A JPEG's bytes with an end marker, if that is all it lacks; else None."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    data = path.read_bytes().rstrip(b"\0\xff")
+    if _END in data[data.rfind(b"\xff\xda") :]:
+        return None
+    first = None
+    for filler in _FILLERS:
+        try:
+            picture = JpegImageFile(io.BytesIO(data + filler + _END))
+            picture.load()
+        except (OSError, SyntaxError, ValueError):
+            return None
+        codes = picture.tobytes()
+        if first is not None and codes != first:
+            return None
+        first = codes
+    return data + _END
 
 
 # Writes PNG files of 8 and 16 bits; values are rounded, not truncated.
@@ -116,15 +153,16 @@ def swap_red_blue(whole: NDArray[Any]) -> NDArray[Any]:
 
 MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
 _RGB = {"R": 0, "G": 1, "B": 2}
-# Roles of channels by name, in lower case and without the layer.
-_ROLES = {
-    **{"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"},
-    **{"a": "A", "alpha": "A"},
-}
-_GREYS = ("y", "l", "v", "i", "grey", "gray", "luminance", "value", "intensity")
-_AXES = {"x": "R", "y": "G", "z": "B"}  # of vectors, as in Blender's normal pass
+# Integers of 32 bits are codes as well: 16 bits of them are kept.
+_READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "uint16"}
+_SIGNED = ("int8", "int16", "int", "int32")
+_LARGEST = 1e37  # values that matrices of colours keep finite
+_MOST_PARTS = 64  # of an EXR that are looked at
+_ORIENTATION = 274  # a tag of Exif
+Scalar = TypeVar("Scalar", bound=np.generic)
 _NOT_BUILT = "not configured"  # in libtiff's error for a compression that it was built without
-_NO_COLOURS = ("CMYK", "CIELAB", "YCCK")  # colour spaces that the decoders do not convert
+# Colour spaces that the decoders do not convert.
+_NO_COLOURS = ("CMYK", "YCCK", *NO_RGB.values())
 
 
 @dataclass(frozen=True)
@@ -139,10 +177,16 @@ class Pixels:
     """Index of the channel by role "R", "G", "B", "A"; equal for the colours of a grey image."""
     primaries: tuple[float, ...] | None = None
     """Chromaticities x, y of red, green, blue and white of an EXR file, or None."""
+    space: str = ""
+    """An EXR file's `colorInteropID`, such as lin_ap1_scene; or ""."""
     surroundings: str = ""
     """An EXR file's `textureformat`, which names the projection of an environment map; or ""."""
     partial: bool = False
     """Whether an EXR file's data window is smaller than its display window."""
+    page: int = 0
+    """Index of the picture in a TIFF file."""
+    notes: tuple[str, ...] = ()
+    """Sentences to the user on what was read of the file."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -180,11 +224,12 @@ class Pixels:
         return np.ascontiguousarray(self.stored[..., places])
 
 
-def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
-    """Read an image; of an EXR file the display window.
+def read_pixels(path: Path, *, outside: float | None = None, wanted: Sequence[str] = ()) -> Pixels:
+    """Read an image, upright by its Exif orientation; of an EXR file the display window.
 
     Args:
         outside: value of the display window beyond the data window; None refuses such files.
+        wanted: words for the data that the file should hold, by which an EXR's layer is chosen.
 
     Raises:
         MatcapError: missing, not an image, truncated, too large, of an unsupported kind, with
@@ -206,7 +251,7 @@ def read_pixels(path: Path, *, outside: float | None = None) -> Pixels:
             elif head.startswith(MAGIC):
                 decoded = _from_radiance(path)
             else:
-                decoded = _decoded(path, outside)
+                decoded = _decoded(path, head, outside, wanted)
     except MemoryError as error:
         raise MatcapError.at(
             where, "there is not enough memory to read it", "free some memory or reduce the picture"
@@ -225,13 +270,21 @@ def _from_jpeg(path: Path) -> Pixels:
 
     if coding := unsupported_jpeg(path):
         raise _unsupported(path, coding)
+    notes: tuple[str, ...] = ()
     try:
         with warnings.catch_warnings(), path.open("rb") as file:
             warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
-            image = Image.open(file, formats=("JPEG", "MPO"))
+            image: Any = Image.open(file, formats=("JPEG", "MPO"))
             _check_size(path, *image.size)
             _check_colours(path, image.mode)
-            image.load()
+            try:
+                image.load()
+            except OSError:
+                whole = with_end(path)
+                if whole is None:
+                    raise
+                image, notes = Image.open(io.BytesIO(whole), formats=("JPEG",)), (NO_END,)
+                image.load()
     except (MatcapError, MemoryError):
         raise
     except Image.DecompressionBombError as error:
@@ -240,7 +293,9 @@ def _from_jpeg(path: Path) -> Pixels:
         raise _broken(path) from error
     stored = np.asarray(image.convert("L") if image.mode == "1" else image)
     stored = stored[..., None] if stored.ndim == 2 else stored
-    return Pixels(path, stored, dict.fromkeys(_RGB, 0) if stored.shape[2] == 1 else _RGB)
+    roles = dict.fromkeys(_RGB, 0) if stored.shape[2] == 1 else _RGB
+    pixels = Pixels(path, stored, roles, notes=notes)
+    return _standing(pixels, image.getexif().get(_ORIENTATION, 1))
 
 
 def _from_radiance(path: Path) -> Pixels:
@@ -251,7 +306,7 @@ def _from_radiance(path: Path) -> Pixels:
         with tempfile.TemporaryDirectory() as place:
             plain = Path(place) / "plain.hdr"
             plain.write_bytes(header.plain() + path.read_bytes()[header.length :])
-            stored = _decoded(plain, None).stored
+            stored = _decoded(plain, MAGIC, None, ()).stored
     except (ValueError, OSError) as error:
         raise MatcapError.at(
             path, f"the Radiance file is damaged ({error})", "download it again"
@@ -261,9 +316,10 @@ def _from_radiance(path: Path) -> Pixels:
     return Pixels(path, header.upright(stored), _RGB, header.primaries)
 
 
-def _decoded(path: Path, outside: float | None) -> Pixels:
+def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[str]) -> Pixels:
     import OpenImageIO as oiio
 
+    page = _tiff_picture(path) if is_tiff(head) else TiffPicture()
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     source = oiio.ImageInput.open(str(path), config)
@@ -275,55 +331,86 @@ def _decoded(path: Path, outside: float | None) -> Pixels:
             "give an EXR, TIFF, PNG, JPEG, TGA, BMP or WebP file",
         )
     try:
-        spec, exr = source.spec(), source.format_name() == "openexr"
-        refuse_deep(path, spec)
+        exr = source.format_name() == "openexr"
+        part = page.index
+        if exr:
+            layer, notes = meant_layer(_parts(source), wanted, str(path))
+            part = layer.part
+        if not source.seek_subimage(part, 0):
+            forget_error(source.geterror)
+            raise _broken(path)
+        if not exr:
+            layer, notes = meant_layer([source.spec()], wanted, str(path))
+        spec = source.spec()
         _check_size(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         _check_colours(path, str(spec.getattribute("tiff:ColorSpace") or ""))
-        roles = _roles(path, spec.channelnames)
-        read = {"uint8": "uint8", "uint16": "uint16"}.get(str(spec.format), "float")
-        stored = source.read_image(0, 0, 0, spec.nchannels, read)
+        read = _READ_AS.get(str(spec.format), "float")
+        stored = source.read_image(part, 0, 0, spec.nchannels, read)
         broken = forget_error(source.geterror)
     finally:
         source.close()
     if stored is None or broken:
         coding = str(spec.getattribute("compression") or "this")
         raise _unsupported(path, f"{coding} compression") if _NOT_BUILT in broken else _broken(path)
-    stored, partial = np.asarray(stored), False
+    stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
+    if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
+        stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
     if exr:  # in other formats an offset is the position on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
-    primaries = stated_primaries(spec) if exr else None
-    return Pixels(
-        path, stored, roles, primaries, str(spec.getattribute("textureformat") or ""), partial
+    pixels = Pixels(
+        path,
+        stored,
+        layer.roles,
+        stated_primaries(spec) if exr else None,
+        str(spec.getattribute("colorInteropID") or "") if exr else "",
+        str(spec.getattribute("textureformat") or ""),
+        partial,
+        page.index,
+        page.notes + notes,
     )
+    return pixels if exr else _standing(pixels, spec.getattribute("Orientation") or 1)
 
 
-def _roles(path: Path, names: Sequence[str]) -> dict[str, int]:
-    """Index of the channel by role; of several layers, those of the first with colours."""
-    layers: dict[str, dict[str, int]] = {}
-    for place, name in enumerate(names):
-        layer, _, tail = name.rpartition(".")
-        layers.setdefault(layer, {}).setdefault(tail.lower(), place)
-    if any({"ry", "by"} & set(tails) for tails in layers.values()):
-        raise MatcapError.at(
-            path,
-            "this EXR file holds luminance and chroma, which is not supported",
-            "save it as RGB",
-        )
-    for tails in layers.values():
-        known = _ROLES | (_AXES if {"x", "y"} <= set(tails) else {})
-        roles = {known[tail]: place for tail, place in tails.items() if tail in known}
-        if "R" in roles:
-            return roles if "G" in roles else roles | dict.fromkeys(_RGB, roles["R"])
-    tails = next(iter(layers.values()))
-    alpha = next((tail for tail in tails if _ROLES.get(tail) == "A"), None)
-    others = {tail: place for tail, place in tails.items() if tail != alpha} or tails
-    named = [place for tail, place in others.items() if tail in _GREYS]
-    if not named and len(others) > 1:
-        raise MatcapError.at(
-            path, f"none of its channels ({', '.join(names)[:80]}) is red or grey", "save it as RGB"
-        )
-    grey = (named or list(others.values()))[0]
-    return dict.fromkeys(_RGB, grey) | ({} if alpha is None else {"A": tails[alpha]})
+def _parts(source: Any) -> list[Any]:  # noqa: ANN401
+    """OpenImageIO's specification of each part of an open EXR file."""
+    specs: list[Any] = []
+    while len(specs) < _MOST_PARTS and source.seek_subimage(len(specs), 0):
+        specs.append(source.spec().copy())
+    forget_error(source.geterror)
+    return specs
+
+
+def _tiff_picture(path: Path) -> TiffPicture:
+    try:
+        page = meant_picture(path)
+    except MemoryError:
+        raise
+    except Exception as error:  # tifffile raises anything at all on broken bytes
+        raise _broken(path) from error
+    _check_colours(path, NO_RGB.get(page.photometric, ""))
+    if page.refused:
+        raise _unsupported(path, page.refused)
+    return page
+
+
+def _standing(pixels: Pixels, orientation: Any) -> Pixels:  # noqa: ANN401
+    """The picture upright, by EXIF's orientation of what is stored; with a note if it turns."""
+    if orientation not in range(2, 9):
+        return pixels
+    stored = np.ascontiguousarray(upright(pixels.stored, int(orientation)))
+    note = f"Turned upright, as its Exif orientation ({orientation}) says."
+    return replace(pixels, stored=stored, notes=(*pixels.notes, note))
+
+
+def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
+    """Upright view of a stored picture (H, W, ...); `orientation` is EXIF's, 1 to 8."""
+    if orientation in (5, 6, 7, 8):
+        picture = picture.swapaxes(0, 1)
+    if orientation in (2, 3, 6, 7):
+        picture = picture[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        picture = picture[::-1]
+    return picture
 
 
 def _in_display_window(
@@ -381,16 +468,17 @@ def _broken(path: Path) -> MatcapError:
 
 
 def linear_colours(
-    pixels: Pixels, *, light: bool = False
+    pixels: Pixels, *, named: str = ""
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """(H, W, 3) linear Rec.709 of an image's colours, and notes to the user.
 
     Integers are converted from the file's colour space (stated_color.py), by default sRGB. Floats
-    are linear unless the file has a profile; an EXR file's primaries are converted. Floats may be
-    negative for colours outside Rec.709.
+    are linear unless the file has a profile or a `colorInteropID` of a curve; an EXR file's
+    primaries are converted. Floats may be negative for colours outside Rec.709.
 
     Args:
-        light: take integers as linear, whatever the file states.
+        named: colour space that the file's name states, as space_of_name() has them; for integers
+            before what the file states, for floats after it.
 
     Raises:
         MatcapError: there are only two channels.
@@ -398,25 +486,51 @@ def linear_colours(
     if "G" not in pixels.roles or "B" not in pixels.roles:
         raise MatcapError.at(pixels.path, "has two channels, which are no colour", "save it as RGB")
     colours = pixels.colours()
-    if light and pixels.whole:
-        return colours.astype(np.float32) / np.float32(np.iinfo(colours.dtype).max), ()
-    stated = stated_color(pixels.path)
+    with quiet_decoders():
+        stated = stated_color(pixels.path, pixels.page)
     if pixels.whole:
+        if named:
+            return _from_space(colours, named, "the name's")
         linearise, notes = stated.lineariser(colours.dtype)
         return linearise(colours), notes
     if stated.profile is not None:
         linearise, notes = lineariser_of(stated.profile, colours.dtype, LINEAR)
         return linearise(colours), notes
+    if pixels.space:
+        return _from_space(colours, pixels.space, "the file's")
     if pixels.primaries is None:
-        return colours, ()
+        return _from_space(colours, named, "the name's") if named else (colours, ())
     try:
         matrix = rec709_from(pixels.primaries)
     except ValueError:
         return colours, ("The file's primaries span no colour space: Rec.709 assumed.",)
     if matrix is None:
         return colours, ()
-    turned = colours @ matrix.T.astype(np.float32)
+    turned = _bounded(colours) @ matrix.T.astype(np.float32)
     return turned, ("Colours converted from the file's primaries to Rec.709.",)
+
+
+def _bounded(colours: NDArray[Any]) -> NDArray[np.float32]:
+    """Colours that no matrix of colours makes infinite."""
+    return np.asarray(np.clip(colours, -_LARGEST, _LARGEST), np.float32)
+
+
+def _from_space(
+    colours: NDArray[Any], name: str, whose: str
+) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """Colours of a named space; of an unknown one as linear Rec.709, with a note."""
+    space = space_of_name(name)
+    light: Any = colours.astype(np.float32) / np.float32(largest_code(colours.dtype))
+    if space is None:
+        return light, (
+            f"Nothing is known of {whose} colour space {name!r}: linear Rec.709 assumed.",
+        )
+    if space.curves[0] is not linear:
+        light = np.stack([space.curves[c](light[..., c]) for c in range(3)], axis=-1)
+    if space.matrix is not None:
+        light = _bounded(light) @ space.matrix.T.astype(np.float32)
+    notes = () if space is LINEAR else (f"Colours converted from {whose} {space.name} to Rec.709.",)
+    return np.asarray(light, np.float32), notes
 
 
 # Writes an image to a file: linear EXR or sRGB PNG, by suffix.
@@ -466,6 +580,8 @@ def read_mask(path: Path) -> NDArray[np.float32]:
         MatcapError: missing, not an image, wholly transparent, or floats outside [0, 1].
     """
     pixels = read_pixels(path)
+    for sentence in pixels.notes:
+        note(f"{path}: {sentence}")
     red, green, blue = (
         pixels.channel(role if role in pixels.roles else "R") for role in ("R", "G", "B")
     )

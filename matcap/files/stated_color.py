@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 from matcap.files import bmff
 from matcap.files.color import (
     ADOBE_RGB,
+    LINEAR,
+    REC709,
     REC709_TO_D50,
     SRGB,
+    XYZ,
     ColorSpace,
     Curve,
     Linearise,
@@ -310,6 +313,20 @@ def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
             yield head[4:], data
 
 
+def jpeg_segments(path: Path) -> Iterator[tuple[int, bytes]]:
+    """(marker, data) of a JPEG's segments before its scan, up to where the file is damaged."""
+    with path.open("rb") as file:
+        file.seek(2)
+        while len(head := file.read(2)) == 2 and head[0] == 0xFF:
+            if head[1] == 0xFF:  # a fill byte
+                file.seek(-1, 1)
+                continue
+            length = int.from_bytes(file.read(2), "big")
+            if head[1] in (0xD9, 0xDA) or length < 2:
+                return
+            yield head[1], file.read(length - 2)
+
+
 def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
     """(type, data) of a WebP's chunks except image data."""
     with path.open("rb") as file:
@@ -426,3 +443,36 @@ def _of_tiff(path: Path, page: int) -> StatedColor:
         if space.matrix is not None:
             return StatedColor(space=space, notes=converted(space))
     return StatedColor()
+
+
+# Colour spaces by name: the Color Interop Forum's IDs, which EXR's colorInteropID holds
+# (OpenEXR 3.4), as CURVE_PRIMARIES or CURVE_PRIMARIES_STATE.
+
+
+_ACES_WHITE = (0.32168, 0.33767)
+_D65 = (0.3127, 0.3290)
+_NAMED_PRIMARIES: dict[str, tuple[float, ...]] = {
+    "rec709": REC709,
+    "ap1": (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, *_ACES_WHITE),
+    "ap0": (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, *_ACES_WHITE),
+    "p3d65": (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *_D65),
+    "rec2020": (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *_D65),
+    "adobergb": (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65),
+    "ciexyzd65": XYZ,
+}
+_NAMED_CURVES: dict[str, Curve] = {
+    "lin": linear,
+    "srgb": srgb_decode,
+    **{f"g{tenths}": power(tenths / 10.0) for tenths in (18, 22, 24, 26)},
+}
+
+
+def space_of_name(name: str) -> ColorSpace | None:
+    """The colour space of an ID such as lin_ap1_scene or srgb_rec709; None if it is unknown."""
+    curve, _, rest = name.strip().lower().partition("_")
+    primaries = rest.partition("_")[0]
+    if curve not in _NAMED_CURVES or primaries not in _NAMED_PRIMARIES:
+        return None
+    if primaries == "rec709" and curve in ("lin", "srgb"):
+        return LINEAR if curve == "lin" else SRGB
+    return space_of_primaries(_NAMED_PRIMARIES[primaries], _NAMED_CURVES[curve], name.strip()[:40])

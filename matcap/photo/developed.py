@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files import bmff
 from matcap.files.color import Linearise, largest_code
-from matcap.files.pixels import unsupported_jpeg
+from matcap.files.pixels import NO_END, unsupported_jpeg, with_end
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, FocalPlane, read_exif
@@ -86,10 +87,10 @@ def decode(coded: Coded, long_side: int | None, where: str, orientation: int) ->
 
     def read(top: int, bottom: int) -> Rows:
         codes = coded.rows(top, bottom)
-        if not whole and not np.isfinite(codes).all():
+        if not whole and not np.abs(codes).max(initial=0.0) < _LARGEST:
             raise MatcapError.at(
                 where,
-                "the picture has values that are NaN or infinite",
+                "the picture has values that are NaN or infinite, or above 1e30",
                 "export it again without them",
             )
         light = linearise(codes)
@@ -183,6 +184,7 @@ _LOSSY_CLIP = 254.0 / 255.0
 # Pixels beyond which a JPEG is decoded at half size (DCT scaling), if that suffices.
 _LARGE = 100_000_000
 
+_LARGEST = 1e30  # values that matrices and means keep finite
 _WIDEST_META = 1 << 16  # first bytes of a HEIC or AVIF in which its items are searched
 _MODES = {"RGB", "RGBA", "RGBX", "L", "LA"}  # Pillow's modes that are read directly
 
@@ -204,7 +206,15 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         check_size(path, *size)
         if size[0] * size[1] > _LARGE and long_side is not None and 2 * long_side <= max(size):
             image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
-        image.load()
+        notes: tuple[str, ...] = ()
+        try:
+            image.load()
+        except OSError:
+            whole = with_end(path)
+            if whole is None:
+                raise
+            image, notes = JpegImageFile(io.BytesIO(whole)), (NO_END,)
+            image.load()
     if image.mode not in _MODES:
         raise unsupported(path, f"a JPEG of {image.mode} colours")
 
@@ -219,6 +229,7 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         stated_color(path),
         _LOSSY_CLIP,
         size=size,
+        notes=notes,
     )
     if hdr_gain_map.has_mark(path):
         coded = _brightened(

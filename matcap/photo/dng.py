@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import REC709_TO_D50
-from matcap.photo.photo import decoding
+from matcap.photo.photo import decoding, unsupported
+from matcap.photo.raw_samples import (
+    JPEG_XL,
+    VALUE_MAPS,
+    Crop,
+    ValueMap,
+    crop_of,
+    needs_normalising,
+    unsupported_pattern,
+    value_maps,
+)
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
@@ -26,11 +36,13 @@ if TYPE_CHECKING:
 
 
 _GAIN_MAP = 9  # an opcode (DNG 1.7, chapter 7)
+_OF_VALUES = "a correction of values"
 # Other opcodes that change radiance or position, as text for notes.
 _UNDONE = {
     **dict.fromkeys((1, 2, 14), "a lens distortion correction"),
     3: "a radial vignette correction",
-    **dict.fromkeys((7, 8, 10, 11, 12, 13), "a correction of rows, columns or values"),
+    **dict.fromkeys(VALUE_MAPS, _OF_VALUES),
+    **dict.fromkeys((10, 11, 12, 13), "a correction of rows or columns"),
 }
 _HEADER = struct.Struct(">4I 4I 2I 4d I")
 _MOST_POINTS = 1 << 24  # of a map; limits the memory that a file can claim
@@ -367,7 +379,7 @@ def _text(value: Any) -> bytes:  # noqa: ANN401
 
 
 _CFA, _LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
-_JPEG_XL = 52546  # a compression (DNG 1.7)
+_FLOATING, _ORIENTATION = 3, 274  # a SampleFormat, and a tag
 _MOST_PAGES = 64  # a damaged file may claim any number of them
 _ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 
@@ -380,8 +392,16 @@ class Corrections:
     """Gain maps of OpcodeList2, for linear samples before demosaicing."""
     after_demosaic: tuple[GainMap, ...] = ()
     """Gain maps of OpcodeList3."""
-    jpeg_xl: bool = False
-    """Whether the raw picture is compressed with JPEG XL, which LibRaw cannot read."""
+    rewritten: bool = False
+    """Whether LibRaw cannot read the samples as they are stored (JPEG XL), or misreads them."""
+    normalised: bool = False
+    """Whether it misreads them (raw_samples.py)."""
+    value_maps: tuple[ValueMap, ...] = ()
+    """MapTable and MapPolynomial of OpcodeList2."""
+    crop: Crop | None = None
+    """Part of the active area that is the picture; None is all of it."""
+    orientation: int | None = None
+    """EXIF's orientation in the first directory, or None."""
     active_area: tuple[int, int, int, int] | None = None
     """Top, left, bottom, right (the last two excluded) of the area that gain maps refer to, in the
     stored picture; None is all of it."""
@@ -409,16 +429,37 @@ def read_corrections(path: Path) -> Corrections:
         page = raw_page(file)
         if page is None:
             return Corrections()
+        pattern = unsupported_pattern(page)
+        if pattern and int(page.photometric) == _CFA:
+            raise unsupported(path, f"a DNG whose mosaic repeats by {pattern} photosites")
         on_mosaic, undone = parse_opcodes(_bytes(page, _OPCODES_ON_MOSAIC))
         after, also_undone = parse_opcodes(_bytes(page, _OPCODES_AFTER))
-        asked = sorted(undone | also_undone)
+        maps = value_maps(_bytes(page, _OPCODES_ON_MOSAIC))
+        asked = sorted((undone - {_OF_VALUES}) | also_undone)
+        floating = int(page.sampleformat) == _FLOATING
+        misread = not floating and needs_normalising(page, bool(maps))
+        area = _active_area(page)
+        crop = crop_of(
+            page, {tag.code: tag for one in (file.pages.first, page) for tag in one.tags}
+        )
+        notes = [f"The DNG asks for {what}, which was not applied." for what in asked]
+        if crop is not None and not crop.centred:
+            notes.append(
+                "The file's crop is off centre: the smallest part around the centre that holds it "
+                "is read."
+            )
+        first = file.pages.first.tags.get(_ORIENTATION)
         return Corrections(
             on_mosaic,
             after,
-            int(page.compression) == _JPEG_XL,
-            _active_area(page),
+            misread or int(page.compression) == JPEG_XL,
+            misread,
+            maps,
+            crop,
+            int(first.value) if first is not None and first.value in range(1, 9) else None,
+            None if misread else area,
             dng_color(_values(page) | _values(file.pages.first)),
-            tuple(f"The DNG asks for {what}, which was not applied." for what in asked),
+            tuple(notes),
         )
 
 

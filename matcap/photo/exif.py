@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 import zlib
 from dataclasses import dataclass
 from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.stated_color import png_chunks, riff_chunks
+from matcap.files.stated_color import jpeg_segments, png_chunks, riff_chunks
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
 #
@@ -26,6 +25,7 @@ from matcap.files.stated_color import png_chunks, riff_chunks
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)
 _PHONE_REACH = tan(radians(33.0))  # half the long side over the distance
+_EXIF, _XMP, _APP1 = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", 0xE1
 _LARGEST_XMP = 1 << 22  # bytes of XMP that are parsed
 # Millimetres by FocalPlaneResolutionUnit (Exif 2.32); some cameras use 4 and 5.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -118,6 +118,11 @@ def phone_fov(width: int, height: int) -> float:
     return degrees(2.0 * atan(share * _PHONE_REACH))
 
 
+def part_of_fov(fov: float, share: float) -> float:
+    """Field of view in degrees across a centred part, `share` of the whole's long side."""
+    return degrees(2.0 * atan(share * tan(radians(fov) / 2.0)))
+
+
 def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
     """Read the metadata of a file, or of a block of Exif bytes.
 
@@ -136,9 +141,29 @@ def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
         if head[:4] == b"RIFF":
             chunks = dict(riff_chunks(source))
             return read_exif(chunks.get(b"EXIF", b""), chunks.get(b"XMP ", b""))
+        if head.startswith(b"\xff\xd8"):
+            exif, xmp = _of_jpeg(source)
+            if exif:
+                return read_exif(exif, xmp)
         file.seek(0)
         tags = exif_tags(file)
-    return _interpret(tags, _xmp_of(source, head))
+    return _interpret(tags, xmp if head.startswith(b"\xff\xd8") else _xmp_of(source, head))
+
+
+def _of_jpeg(path: Path) -> tuple[bytes, bytes]:
+    """The Exif block and XMP packet of a JPEG, wherever among its segments they are.
+
+    Parsers look in the first segments alone, which an XMP extension or C2PA may fill.
+    """
+    exif = xmp = b""
+    for marker, data in jpeg_segments(path):
+        if marker != _APP1:
+            continue
+        if data.startswith(_EXIF) and not exif:
+            exif = data
+        elif data.startswith(_XMP) and not xmp:
+            xmp = data[len(_XMP) :]
+    return exif, xmp
 
 
 def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:
@@ -164,14 +189,8 @@ def _text(data: bytes) -> bytes:
 
 
 def _xmp_of(path: Path, head: bytes) -> bytes:
-    """The XMP packet of a JPEG or TIFF; empty if there is none."""
+    """The XMP packet of a TIFF; empty if there is none."""
     try:
-        if head.startswith(b"\xff\xd8"):
-            from PIL.JpegImagePlugin import JpegImageFile
-
-            with path.open("rb") as file, warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # about malformed tags
-                return bytes(JpegImageFile(file).info.get("xmp", b""))[:_LARGEST_XMP]
         if head[:4] in (b"II*\0", b"MM\0*"):
             import tifffile
 
@@ -245,6 +264,9 @@ def exif_tags(file: BinaryIO) -> dict[str, Any]:
 
 
 def _interpret(tags: dict[str, Any], xmp: bytes) -> Exif:
+    # Android's DNGs have them in the first directory, without one of Exif (TIFF/EP).
+    first = {f"EXIF {name[6:]}": tag for name, tag in tags.items() if name.startswith("Image ")}
+    tags = first | tags
     orientation = _number(tags, "Image Orientation")
     if orientation not in range(1, 9):
         orientation = _of_xmp(xmp, b"tiff:Orientation")

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.files.pixels import upright
 from matcap.files.process import quiet_decoders
 from matcap.photo.developed import read_heic, read_jpeg, read_webp_or_avif
 from matcap.photo.dng import Corrections, raw_page, read_corrections
-from matcap.photo.exif import Exif, phone_fov, read_exif
+from matcap.photo.exif import Exif, part_of_fov, phone_fov, read_exif
 from matcap.photo.left_out import leave_transparent_out
 from matcap.photo.lossless import (
     is_float_dng,
@@ -27,7 +28,7 @@ from matcap.photo.lossless import (
     read_float_dng,
     read_png_or_tiff,
 )
-from matcap.photo.orient import quarter_turn, upright
+from matcap.photo.orient import quarter_turn
 from matcap.photo.photo import (
     SHORTEST_SIDE,
     Decoded,
@@ -39,18 +40,22 @@ from matcap.photo.photo import (
     unreadable,
 )
 from matcap.photo.raw import read_raw
+from matcap.photo.raw_samples import BLACK, DONE, WHITE, normalised
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
 from matcap.photo.kind import FileKind, file_kind
 
-# Decompresses DNGs in JPEG XL (newer ProRAW), which LibRaw cannot read, to temporary copies.
+# Rewrites DNGs that LibRaw cannot read (JPEG XL, of newer ProRAW) or misreads, to temporary copies.
 #
-# tifffile decompresses the raw picture. The copy has it as one uncompressed strip, with all other
-# tags unchanged.
+# tifffile decompresses the raw picture. The copy has it as one uncompressed strip, normalised if
+# LibRaw would misread it (raw_samples.py), with all other tags unchanged.
 
 
-_BITS, _COMPRESSION, _OFFSETS, _ROWS, _COUNTS, _WHITE = 258, 259, 273, 278, 279, 50717
+_WIDTH, _LENGTH, _BITS, _COMPRESSION, _OFFSETS, _ROWS, _COUNTS = 256, 257, 258, 259, 273, 278, 279
+# Black and white of normalised mosaics, so that noise below black is kept.
+_PEDESTAL, _LARGEST = 4096, 65535
+_AS_STORED = Corrections()
 # Predictor, tiles, JPEG tables: tags of the compression, which are dropped.
 _OF_COMPRESSION = (317, 322, 323, 324, 325, 347)
 _SUB_IFDS, _NONE = 330, 1
@@ -60,18 +65,14 @@ _ENTRY = 12  # bytes
 Read = TypeVar("Read")
 
 
-def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
-    """Read a JPEG-XL DNG by a function for uncompressed ones.
+def read_rewritten(path: Path, read: Callable[[Path], Read], corrections: Corrections) -> Read:
+    """Read a DNG that LibRaw cannot read, or misreads, by a function for plain ones.
 
     Raises:
         MatcapError: imagecodecs, an extra, is not installed; the file is truncated, damaged or not
             supported.
     """
-    try:
-        import imagecodecs  # noqa: F401  (tifffile calls it)
-    except ImportError as error:
-        raise missing_extra(path, "a DNG compressed with JPEG XL", "jxl") from error
-    with plain_copy(path) as copy:
+    with plain_copy(path, corrections) as copy:
         try:
             return read(copy)
         except MatcapError as error:
@@ -79,24 +80,42 @@ def read_jxl(path: Path, read: Callable[[Path], Read]) -> Read:
             raise MatcapError.at(path, error.what, error.remedy) from error
 
 
+def _check_decoder(path: Path) -> None:
+    try:
+        import imagecodecs  # noqa: F401  (tifffile calls it)
+    except ImportError as error:
+        form = "a DNG compressed with JPEG XL or lossy JPEG"
+        raise missing_extra(path, form, "jxl") from error
+
+
 @contextmanager
-def plain_copy(path: Path) -> Iterator[Path]:
-    """Context of a temporary uncompressed copy of a DNG.
+def plain_copy(path: Path, corrections: Corrections = _AS_STORED) -> Iterator[Path]:
+    """Context of a temporary uncompressed copy of a DNG, its samples normalised if they need it.
 
     Raises:
-        MatcapError: truncated, damaged, or without a raw picture of integers in one or three
-            samples.
+        MatcapError: truncated, damaged, without a raw picture of integers in one or three samples,
+            or imagecodecs is not installed.
     """
     import tifffile
 
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "plain.dng"
         with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
-            page = raw_page(file)
+            page: Any = raw_page(file)
             if page is None:
                 raise unreadable(path, "DNG")
             check_size(path, page.imagewidth, page.imagelength)
-            samples = page.asarray()
+            if int(page.compression) != _NONE:
+                _check_decoder(path)
+            levels = None
+            if corrections.normalised:
+                samples = normalised(page, corrections.value_maps)
+                levels = (_PEDESTAL if samples.ndim == 2 else 0, _LARGEST)
+                span = _LARGEST - levels[0]
+                samples = np.clip(np.rint(levels[0] + samples * span), 0, _LARGEST)
+                samples = samples.astype(np.uint16)
+            else:
+                samples = page.asarray()
             if file.is_bigtiff or samples.dtype.kind != "u" or samples.shape[2:] not in ((), (3,)):
                 raise MatcapError.at(
                     path,
@@ -105,7 +124,7 @@ def plain_copy(path: Path) -> Iterator[Path]:
                 )
             order = file.byteorder
             with copy.open("wb") as out:
-                out.write(_patched(path.read_bytes(), file, page, samples, order))
+                out.write(_patched(path.read_bytes(), file, page, samples, levels))
                 samples.astype(f"{order}u2").tofile(out)
         yield copy
 
@@ -115,13 +134,19 @@ def _patched(
     file: Any,  # noqa: ANN401
     page: TiffPage,
     samples: NDArray[Any],
-    order: str,
+    levels: tuple[int, int] | None,
 ) -> bytearray:
-    """The file with a new directory for the raw picture, whose samples will be appended."""
+    """The file with a new directory for the raw picture, whose samples will be appended.
+
+    Args:
+        levels: black and white of normalised samples, or None where the file's are right.
+    """
+    order = str(file.byteorder)
+    dropped = _OF_COMPRESSION if levels is None else (*_OF_COMPRESSION, *DONE)
     entries = {
         tag.code: data[tag.offset : tag.offset + _ENTRY]
         for tag in page.tags
-        if tag.code not in _OF_COMPRESSION
+        if tag.code not in dropped
     }
     planes = 1 if samples.ndim == 2 else 3
     patched = bytearray(data + bytes(len(data) % 2))
@@ -135,8 +160,15 @@ def _patched(
         _COUNTS: (_LONG, 1, 2 * samples.size),
         _OFFSETS: (_LONG, 1, 0),
     }
-    if _WHITE not in entries:
-        changed[_WHITE] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
+    if levels is not None:
+        changed |= {
+            _WIDTH: (_LONG, 1, samples.shape[1]),
+            _LENGTH: (_LONG, 1, samples.shape[0]),
+            BLACK: (_LONG, 1, levels[0]),
+            WHITE: (_LONG, 1, levels[1]),
+        }
+    elif WHITE not in entries:
+        changed[WHITE] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
     size = 2 + _ENTRY * len(entries | changed) + 4
     changed[_OFFSETS] = (_LONG, 1, at + size)
     for code, (kind, count, value) in changed.items():
@@ -225,7 +257,9 @@ def _read(
     if kind is FileKind.DNG and is_float_dng(path):
         return read_float_dng(path, long_side, corrections, white)
     read = partial(read_raw, long_side=long_side, corrections=corrections, noise=noise)
-    return (read_jxl(path, read) if corrections.jpeg_xl else read(path)), read_exif(path)
+    picture = read_rewritten(path, read, corrections) if corrections.rewritten else read(path)
+    orientation = corrections.orientation or picture.orientation
+    return replace(picture, orientation=orientation), read_exif(path)
 
 
 def _photo(
@@ -244,12 +278,16 @@ def _photo(
         standing = upright(stored, picture.orientation)
         return np.ascontiguousarray(quarter_turn(standing) if turned else standing)
 
-    stated, said = exif.view(*picture.size)
+    whole = picture.whole or picture.size
+    stated, said = exif.view(*whole)
     known, source, said = (fov, "given", ()) if fov is not None else (stated, "exif", said)
+    seen = phone_fov(*whole) if known is None else known
+    if fov is None and picture.whole is not None:
+        seen = part_of_fov(seen, max(picture.size) / max(whole))
     photo = Photo(
         pixels=lying(picture.pixels),
         clipped=lying(picture.clipped),
-        fov=phone_fov(*size) if known is None else known,
+        fov=seen,
         fov_source="assumed" if known is None else source,
         radiometric=picture.radiometric,
         name=name,

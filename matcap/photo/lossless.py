@@ -5,8 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,12 @@ from matcap.files.color import LINEAR, ColorSpace
 from matcap.files.exr import forget_error
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.files.stated_color import StatedColor, stated_color
+from matcap.files.tiff import GREYS, TiffPicture, meant_picture
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.dng import Corrections, raw_page
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.photo import Decoded, check_size, decoding, missing_extra, unreadable, unsupported
+from matcap.photo.raw_samples import normalised
 
 # Reads photographs in floating point: EXR and Radiance HDR, and the raw picture of a float DNG.
 #
@@ -35,9 +36,7 @@ _SHARED, _SHARED_SHARE = 16, 1e-4
 _MOST_SHARED = 0.5  # share of all from which on it is a flat picture
 _EQUAL = 1e-4  # relative difference of values that count as equal
 _USUAL_MEDIANS = (1e-3, 2.0)  # median of a photograph in units of white; beyond, white is doubtful
-_LEVELS = ((50714, 0.0), (50717, 1.0))  # tags of BlackLevel and WhiteLevel, and their defaults
-_PATTERN, _ORIENTATION = 33422, 274  # tags
-_PLAIN, _RATIONALS = 1, (5, 10)  # a compression, and types of tags
+_PATTERN, _PLAIN = 33422, 1  # a tag, and a compression
 
 
 def read_exr_or_radiance(path: Path, long_side: int | None, white: float | None) -> Decoded:
@@ -50,8 +49,12 @@ def read_exr_or_radiance(path: Path, long_side: int | None, white: float | None)
     stored = read_pixels(path)
     check_size(path, *stored.size)
     colours, notes = linear_colours(stored)
+    notes = stored.notes + notes
     return decode(
-        light(path, colours, white, notes, opacity=_opacity(stored)), long_side, str(path), 1
+        light(path, colours, white, notes, opacity=_opacity(stored)),
+        long_side,
+        str(path),
+        1,
     )
 
 
@@ -138,7 +141,7 @@ def read_float_dng(
     """Read a DNG whose raw picture is in floating point, as merged exposures are.
 
     LibRaw scales such a picture by its maximum. A mosaic is averaged by 2 x 2. White balance,
-    colours and active area are the file's (dng.py).
+    colours, active area and crop are the file's (dng.py).
 
     Raises:
         MatcapError: truncated, damaged, too small, with lens-shading maps, of another pattern than
@@ -154,24 +157,26 @@ def read_float_dng(
         check_size(path, page.imagewidth, page.imagelength)
         if int(page.compression) != _PLAIN and importlib.util.find_spec("imagecodecs") is None:
             raise missing_extra(path, "a compressed float DNG", "jxl")
-        samples = np.asarray(page.asarray(), np.float32)
-        black, level = (np.ravel(_value(page, tag, none)) for tag, none in _LEVELS)
-        pattern = bytes(_value(page, _PATTERN, b"")) if samples.ndim == 2 else None
-        orientation = int(_value(file.pages.first, _ORIENTATION, 1))
-    if corrections.active_area is not None:
-        top, left, bottom, right = corrections.active_area
-        samples = samples[top:bottom, left:right]
+        samples = normalised(page)
+        pattern = bytes(page.tags[_PATTERN].value) if samples.ndim == 2 else None
+    crop = corrections.crop
     camera = samples[..., :3] if pattern is None else _binned(path, samples, pattern)
-    dark = float(np.mean(black))
-    camera = (camera - np.float32(dark)) / np.float32(float(np.min(level)) - dark)
+    size = samples.shape[1], samples.shape[0]
+    if crop is not None:
+        step = 1 if pattern is None else 2
+        top, left, bottom, right = (edge // step for edge in crop.shown)
+        camera = camera[top:bottom, left:right]
+        size = crop.shown[3] - crop.shown[1], crop.shown[2] - crop.shown[0]
     space = ColorSpace("the camera", LINEAR.curves, color.matrix)
     balanced = np.asarray(camera / np.array(color.neutral, np.float32), np.float32)
     notes = (*corrections.notes, *((color.note,) if color.note else ()))
     coded = light(path, balanced, white, notes, StatedColor(space=space))
-    size = samples.shape[1], samples.shape[0]
     red, green, blue = (1.0 / channel for channel in color.neutral)
-    picture = decode(replace(coded, size=size), long_side, str(path), orientation)
-    return replace(picture, radiometric=True, balance=(red, green, blue)), read_exif(path)
+    picture = decode(replace(coded, size=size), long_side, str(path), corrections.orientation or 1)
+    area = None if crop is None else crop.whole
+    whole = None if area is None else (area[3] - area[1], area[2] - area[0])
+    picture = replace(picture, radiometric=True, balance=(red, green, blue), whole=whole)
+    return picture, read_exif(path)
 
 
 def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray[np.float32]:
@@ -187,46 +192,10 @@ def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray
     return np.stack(planes, axis=-1)
 
 
-def _value(page: Any, tag: int, none: Any) -> Any:  # noqa: ANN401
-    """Value of a tag of a page; a quotient for rationals."""
-    if tag not in page.tags:
-        return none
-    entry = page.tags[tag]
-    if int(entry.dtype) in _RATIONALS:
-        pairs = np.ravel(entry.value).astype(np.float64).reshape(-1, 2)
-        return pairs[:, 0] / pairs[:, 1]
-    return entry.value
-
-
 # Reads PNG and TIFF of 8 and 16 bits, and TIFF in floating point, by OpenImageIO.
 #
 # Of a TIFF with several pages the largest picture is read, not thumbnails or masks. CMYK and CIELAB
 # are refused, as OpenImageIO's conversion is not colorimetric.
-
-
-# TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
-_GREYS, _MASK = (0, 1), 4
-_NO_RGB = {5: "inks (CMYK)", 8: "CIELAB colours", 9: "ICCLAB colours"}
-_REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
-_MOST_PAGES = 64  # read at most; a damaged file may claim any number
-_FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: unsigned, signed, floating, undefined
-_JPEGS = (6, 7)  # compressions
-# Compressions that every OpenImageIO decodes; a failure with others means unsupported.
-_USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
-
-
-@dataclass(frozen=True)
-class _Page:
-    """The page of a file that is read."""
-
-    index: int = 0
-    """Index of the page."""
-    compression: tuple[str, bool] = ("", True)
-    """Name of the compression, and whether it is in _USUAL."""
-    orientation: int | None = None
-    """EXIF's, of a page other than the first; None is the file's."""
-    notes: tuple[str, ...] = ()
-    """Notes on other pages."""
 
 
 def read_png_or_tiff(
@@ -245,7 +214,7 @@ def read_png_or_tiff(
     """
     import OpenImageIO as oiio
 
-    page = _page_of(path) if form == "TIFF" else _Page()
+    page = _page_of(path) if form == "TIFF" else TiffPicture()
     with decoding(path, form):
         config = oiio.ImageSpec()
         config.attribute("oiio:UnassociatedAlpha", 1)  # colours not multiplied by alpha
@@ -262,7 +231,11 @@ def read_png_or_tiff(
     stored = _stored_type(spec.format)
     dtype = np.dtype("float32" if stored == "float" else stored)
     in_strips = alpha < 0 and dtype.kind == "u" and not spec.tile_width
-    rows = _read_rows(source, spec, stored, lambda: _broken(path, form, page))
+    raw_rows = _read_rows(source, spec, stored, lambda: _broken(path, form, page))
+
+    def rows(top: int, bottom: int) -> NDArray[Any]:
+        return page.as_meant(raw_rows(top, bottom), alpha)
+
     notes, opacity = page.notes, None
     if not in_strips:
         whole = rows(0, spec.height)
@@ -273,11 +246,12 @@ def read_png_or_tiff(
             return whole[top:bottom]
 
     exif = read_exif(path)
+    orientation = page.orientation if page.index else None
     if dtype.kind == "f":
         colours = three_channels(rows(0, spec.height))
         color = _color(path, page.index, dtype)
         coded = light(path, colours, white, notes, color, opacity)
-        return decode(coded, long_side, str(path), page.orientation or exif.orientation), exif
+        return decode(coded, long_side, str(path), orientation or exif.orientation), exif
     coded = Coded(
         lambda top, bottom: three_channels(rows(top, bottom)),
         spec.width,
@@ -287,7 +261,7 @@ def read_png_or_tiff(
         opacity=opacity,
         notes=notes,
     )
-    return decode(coded, long_side, str(path), page.orientation or exif.orientation), exif
+    return decode(coded, long_side, str(path), orientation or exif.orientation), exif
 
 
 def _read_rows(
@@ -321,52 +295,22 @@ def _read_rows(
     return rows
 
 
-def _page_of(path: Path) -> _Page:
-    """The largest page that is neither a thumbnail nor a mask, the first of equals."""
-    import tifffile
-
-    with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
-        pages: list[Any] = list(islice(file.pages, _MOST_PAGES))
-        sizes = [page.imagewidth * page.imagelength for page in pages]
-        whole = [
-            index
-            for index, page in enumerate(pages)
-            if not int(page.subfiletype) & (_REDUCED | _IS_MASK) and int(page.photometric) != _MASK
-        ]
-        chosen = max(whole or range(len(pages)), key=lambda index: (sizes[index], -index))
-        page = pages[chosen]
-        inside = [sub for each in pages for sub in islice(each.pages or (), _MOST_PAGES)]
-        larger = [sub for sub in inside if sub.imagewidth * sub.imagelength > sizes[chosen]]
-        photometric, code = int(page.photometric), int(page.compression)
-        samples = int(page.samplesperpixel)
-        name = str(getattr(page.compression, "name", code)).upper()
-        bits, form = int(page.bitspersample), int(page.sampleformat)
-        equal = sum(sizes[index] == sizes[chosen] for index in whole)
-        known = _Page(
-            chosen,
-            (name, code in _USUAL and not (code in _JPEGS and bits != 8)),
-            _orientation(page) if chosen else None,
-            (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
+def _page_of(path: Path) -> TiffPicture:
+    with decoding(path, "TIFF"):
+        page = meant_picture(path)
+    if page.refused:
+        raise unsupported(path, page.refused)
+    if page.photometric in GREYS and page.samples > 2:  # two are grey and its alpha
+        raise unsupported(
+            path, f"a TIFF of {page.samples} bands that are not named red, green and blue"
         )
-    if form not in _FORMATS or (form == _FLOATING and bits not in (16, 32, 64)):
-        raise unsupported(path, f"a TIFF of {bits} bits in sample format {form}")
-    if larger:
-        raise unsupported(path, "a TIFF whose picture is in a sub-directory behind a smaller one")
-    if photometric in _GREYS and samples > 2:  # two are grey and its alpha
-        raise unsupported(path, f"a TIFF of {samples} bands that are not named red, green and blue")
-    if photometric in _NO_RGB:
-        raise unsupported(path, f"a TIFF of {_NO_RGB[photometric]}")
-    return known
+    return page
 
 
-def _broken(path: Path, form: str, page: _Page) -> MatcapError:
-    name, usual = page.compression
-    return unreadable(path, form) if usual else unsupported(path, f"TIFF compression {name}")
-
-
-def _orientation(page: Any) -> int | None:  # noqa: ANN401
-    tag = page.tags.get(274)
-    return int(tag.value) if tag is not None and tag.value in range(1, 9) else None
+def _broken(path: Path, form: str, page: TiffPicture) -> MatcapError:
+    if page.usual:
+        return unreadable(path, form)
+    return unsupported(path, f"TIFF compression {page.compression}")
 
 
 def _color(path: Path, page: int, dtype: np.dtype[Any]) -> StatedColor:

@@ -1,4 +1,4 @@
-"""Rotates pictures: by EXIF orientation, and from portrait to landscape."""
+"""Rotates pictures from portrait to landscape and back; files/pixels.py: by EXIF orientation."""
 
 from __future__ import annotations
 
@@ -7,21 +7,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-# Rotates pictures: by EXIF orientation, and from portrait to landscape.
-
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-
-def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
-    """Upright view of a stored picture (H, W, ...); `orientation` is EXIF's, 1 to 8."""
-    if orientation in (5, 6, 7, 8):
-        picture = picture.swapaxes(0, 1)
-    if orientation in (2, 3, 6, 7):
-        picture = picture[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        picture = picture[::-1]
-    return picture
 
 
 def quarter_turn(picture: NDArray[Scalar]) -> NDArray[Scalar]:

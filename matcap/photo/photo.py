@@ -198,6 +198,8 @@ class Decoded:
     """As in Photo."""
     opacity: NDArray[np.float32] | None = None
     """(h, w) float32 in [0, 1], or None if all is opaque."""
+    whole: tuple[int, int] | None = None
+    """(width, height) of the picture that focal lengths refer to, if this is a part of it."""
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,8 @@ def read_raw(
         MatcapError: truncated, damaged, not supported or too small.
     """
     with decoding(path, "RAW"), _opened(path) as raw:
-        width, height = raw.sizes.width, raw.sizes.height
+        part = _shown(raw, corrections)
+        height, width = part[0].stop - part[0].start, part[1].stop - part[1].start
         check_size(path, width, height)
         _check_levels(path, raw)
         bayer = raw.raw_pattern is not None and raw.raw_pattern.shape == (2, 2)
@@ -244,6 +245,10 @@ def read_raw(
             "give a developed picture, a TIFF say",
         )
 
+    step = 2 if half else 1
+    within = tuple(slice(side.start // step, side.stop // step) for side in part)
+    developed, saturated = developed[within], saturated[within]
+    again = None if again is None else again[within]
     scale = np.float32(headroom / _FULL)
     own = corrections.color
     matrix = None if own is None else own.matrix.T.astype(np.float32) * scale
@@ -272,7 +277,28 @@ def read_raw(
         clipped_share=share,
         noise=drawn,
         balance=balance,
+        whole=_size(corrections.crop.whole) if corrections.crop else None,
     )
+
+
+def _size(area: tuple[int, int, int, int]) -> tuple[int, int]:
+    """(width, height) of an area."""
+    return area[3] - area[1], area[2] - area[0]
+
+
+def _shown(raw: Any, corrections: Corrections) -> tuple[slice, slice]:  # noqa: ANN401
+    """Rows and columns of LibRaw's visible area that are the picture."""
+    sizes = raw.sizes
+    rows, columns = slice(0, sizes.height), slice(0, sizes.width)
+    if corrections.crop is None:
+        return rows, columns
+    visible = (sizes.top_margin, sizes.left_margin)
+    start = corrections.active_area[:2] if corrections.active_area else visible
+    top, left, bottom, right = corrections.crop.shown
+    down, across = start[0] - visible[0], start[1] - visible[1]
+    rows = slice(max(top + down, 0), min(bottom + down, sizes.height))
+    columns = slice(max(left + across, 0), min(right + across, sizes.width))
+    return rows, columns
 
 
 def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
@@ -463,4 +489,5 @@ def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  #
             gains = np.take_along_axis(gains, of_color, axis=2)[..., 0]
             gains *= before.gains(top, bottom, 1)[..., 0]
         stored[...] = np.clip(np.rint(base + (stored - base) * (gains * stretch)), 0, _FULL)
-    return headroom, round(white_at * stretch * headroom + (black.min() if flat else 0.0))
+    # LibRaw sets this white level after it has subtracted black.
+    return headroom, round(white_at * stretch * headroom)

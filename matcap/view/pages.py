@@ -169,7 +169,21 @@ def _halves(planes: Planes) -> bytes:
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
-    *(".dng", ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp", ".exr", ".hdr"),
+    *(
+        ".dng",
+        ".jpg",
+        ".jpeg",
+        ".jpe",
+        ".jfif",
+        ".png",
+        ".tif",
+        ".tiff",
+        ".heic",
+        ".avif",
+        ".webp",
+        ".exr",
+        ".hdr",
+    ),
     *sorted(RAW_SUFFIXES),
 )
 _DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have

@@ -145,6 +145,13 @@ def names(samples):
     return [sample.name for sample in samples]
 
 
+def test_jpegs_of_browsers_are_photographs(tmp_path):
+    touch(tmp_path, "a.jfif", "b.jpe", "c.jpg", "d.dng", "d.jfif")
+    found = find_samples(tmp_path, taken=lambda _: None)
+    assert [one.name for one in found] == ["a", "b", "c", "d"]
+    assert found[3].superseded == (tmp_path / "d.jfif",)
+
+
 def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
     touch(tmp_path, "a.DNG", "A.jpg", "b.jpg", "sub/a.jpg", "notes.txt", "c.heic", "c.nef")
     found = find_samples(tmp_path)

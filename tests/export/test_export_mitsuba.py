@@ -17,6 +17,10 @@ def test_every_texture_named_is_there(tmp_path, made, material, fewest):
         named = [one.get("value") for one in root.iter("string") if one.get("name") == "filename"]
         assert len(named) >= fewest
         assert all((tmp_path / file).is_file() for file in named)
+        # Else integers of 16 bits are kept as half floats.
+        textures = [one for one in root.iter("texture") if one.get("type") == "bitmap"]
+        stated = [{each.get("name"): each.get("value") for each in one} for one in textures]
+        assert all(one["format"] == "variant" for one in stated)
 
 
 @pytest.mark.parametrize("scene", ["{}.xml", "{}_exact.xml"])

@@ -11,7 +11,7 @@ import tifffile
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageOps
 
 import matcap
 from matcap.errors import ExitCode, MatcapError
@@ -27,7 +27,14 @@ from matcap.files.color import (
 )
 from matcap.files.color import REC709 as COLOR_REC709
 from matcap.files.exr import REC709, read_exr, write_exr
-from matcap.files.pixels import read_mask, write_picture, write_png
+from matcap.files.pixels import (
+    linear_colours,
+    read_mask,
+    read_pixels,
+    write_picture,
+    write_png,
+)
+from matcap.photo.load import load_photo
 
 # Pictures for people, and masks as painting programs save them.
 
@@ -350,3 +357,166 @@ def test_its_slope_is_that_of_the_curve(light):
     rise = np.diff(srgb_encode(at))[0] / 2e-6
     assert srgb_slope(np.array(light)) == pytest.approx(rise, rel=1e-4)
     assert srgb_slope(np.array([light], np.float32)).dtype == np.float32
+
+
+def stored_inverted(path, picture, **options):
+    """A grey TIFF of WhiteIsZero."""
+    largest = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
+    codes = (largest - picture).astype(picture.dtype)
+    tifffile.imwrite(path, codes, photometric="miniswhite", **options)
+
+
+@pytest.mark.parametrize("tile", [None, (32, 32)])
+@pytest.mark.parametrize("kind", ["uint8", "uint16", "uint32", "float16", "float32"])
+def test_white_is_zero_is_no_negative(tmp_path, kind, tile):
+    """Decoders invert 8 bits and leave the others."""
+    grey = np.tile(np.linspace(0.1, 0.9, 96), (64, 1))
+    dtype = np.dtype(kind)
+    scaled = grey * (np.iinfo(dtype).max if dtype.kind == "u" else 1)
+    scaled = np.rint(scaled) if dtype.kind == "u" else scaled
+    stored_inverted(tmp_path / "a.tif", scaled.astype(dtype), tile=tile)
+    np.testing.assert_allclose(read_mask(tmp_path / "a.tif"), grey, atol=4e-3)
+    linear = kind.startswith("float")
+    expected = grey if linear else srgb_decode(grey)
+    photo = load_photo(tmp_path / "a.tif")
+    np.testing.assert_allclose(photo.pixels[..., 1], expected, atol=5e-3)
+
+
+def test_white_is_zero_leaves_alpha(tmp_path):
+    for kind in ("uint8", "uint16"):
+        largest = np.iinfo(kind).max
+        codes = np.full((64, 64, 2), largest // 4, kind)
+        codes[..., 1] = largest // 3 * 2
+        tifffile.imwrite(
+            tmp_path / "a.tif", codes, photometric="miniswhite", extrasamples=["unassalpha"]
+        )
+        pixels = read_pixels(tmp_path / "a.tif")
+        assert float(pixels.channel("R")[0, 0]) == pytest.approx(0.75, abs=0.01)
+        assert float(pixels.channel("A")[0, 0]) == pytest.approx(0.667, abs=0.01)
+
+
+def test_a_thumbnail_before_the_picture_is_passed_over(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(np.zeros((12, 12, 3), np.uint8), photometric="rgb", subfiletype=1)
+        file.write(np.full((96, 96, 3), 200, np.uint8), photometric="rgb")
+    pixels = read_pixels(tmp_path / "a.tif")
+    assert pixels.size == (96, 96)
+    assert pixels.stored.min() == 200
+
+
+def test_a_thumbnail_s_channels_are_not_the_picture_s(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(np.zeros((12, 12, 3), np.uint8), photometric="rgb", subfiletype=1)
+        file.write(np.full((96, 96), 200, np.uint8), photometric="minisblack")
+    pixels = read_pixels(tmp_path / "a.tif")
+    assert pixels.grey and pixels.colours().shape == (96, 96, 3)
+
+
+def test_of_pages_of_one_size_the_first_is_read_and_noted(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for value in (10, 200):
+            file.write(np.full((96, 96, 3), value, np.uint8), photometric="rgb")
+    pixels = read_pixels(tmp_path / "a.tif")
+    assert pixels.stored.max() == 10
+    assert "2 pictures" in pixels.notes[0]
+
+
+@pytest.mark.parametrize(("kind", "half"), [("uint32", 2**31), ("int32", 2**30), ("int16", 2**14)])
+def test_integers_of_other_types_are_codes(tmp_path, kind, half):
+    codes = np.full((8, 8, 3), half, kind)
+    tifffile.imwrite(tmp_path / "a.tif", codes, photometric="rgb")
+    colours, _ = linear_colours(read_pixels(tmp_path / "a.tif"))
+    np.testing.assert_allclose(colours, srgb_decode(np.array(0.5)), atol=1e-4)
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "tif", "png"])
+@pytest.mark.parametrize("orientation", range(2, 9))
+def test_exif_orientation_is_applied_and_noted(tmp_path, suffix, orientation):
+    picture = np.zeros((16, 32, 3), np.uint8)
+    picture[:8, :8] = 255
+    tags = Image.Exif()
+    tags[274] = orientation
+    image = Image.fromarray(picture)
+    image.save(tmp_path / f"a.{suffix}", exif=tags)
+    pixels = read_pixels(tmp_path / f"a.{suffix}")
+    expected = np.asarray(ImageOps.exif_transpose(Image.open(tmp_path / f"a.{suffix}")))
+    np.testing.assert_allclose(pixels.stored, expected, atol=16)
+    assert str(orientation) in pixels.notes[0]
+
+
+def exr_of(path, *parts):
+    """Each part: a name and channels by name."""
+    whole = [
+        OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": name, **more}, channels)
+        for name, channels, more in parts
+    ]
+    OpenEXR.File(whole).write(str(path))
+
+
+def plane(value):
+    return np.full((8, 16), value, np.float32)
+
+
+def rgb(value, layer=""):
+    return {f"{layer}{channel}": plane(value) for channel in "RGB"}
+
+
+def test_the_layer_that_is_meant(tmp_path):
+    """Beauty and the like go before passes, a layer of the wanted name before both."""
+    path = tmp_path / "a.exr"
+    layers = rgb(0.5, "ViewLayer.AO.") | rgb(2.0, "ViewLayer.Combined.") | rgb(1.0, "View.Normal.")
+    exr_of(path, ("", layers, {}))
+    pixels = read_pixels(path)
+    assert pixels.channel("R")[0, 0] == 2.0
+    assert "3 pictures" in pixels.notes[0] and "ViewLayer.Combined is read" in pixels.notes[0]
+    assert read_pixels(path, wanted=("normal",)).channel("G")[0, 0] == 1.0
+    exr_of(path, ("depth", {"Z": plane(7.0)}, {}), ("beauty", rgb(3.0), {}))
+    assert read_pixels(path).channel("B")[0, 0] == 3.0
+    exr_of(path, ("", rgb(3.0) | {"Z": plane(7.0)}, {}))
+    assert read_pixels(path).channel("B")[0, 0] == 3.0
+    exr_of(path, ("left", rgb(1.0), {}), ("right", rgb(2.0), {}))
+    assert read_pixels(path).channel("B")[0, 0] == 1.0
+    assert "left is read" in read_pixels(path).notes[0]
+
+
+@pytest.mark.parametrize(
+    ("space", "expected"),
+    [
+        ("lin_rec709_scene", (0.2, 0.4, 0.1)),
+        ("lin_ap1_scene", (0.0840, 0.4292, 0.0589)),
+        ("srgb_rec709_scene", tuple(srgb_decode(np.array((0.2, 0.4, 0.1))))),
+        ("g22_rec709_display", tuple(np.array((0.2, 0.4, 0.1)) ** 2.2)),
+    ],
+)
+def test_the_interop_id_of_an_exr_is_its_colour_space(tmp_path, space, expected):
+    path = tmp_path / "a.exr"
+    channels = {c: plane(v) for c, v in zip("RGB", (0.2, 0.4, 0.1), strict=True)}
+    exr_of(path, ("", channels, {"colorInteropID": space}))
+    colours, _ = linear_colours(read_pixels(path))
+    np.testing.assert_allclose(colours[0, 0], expected, atol=2e-3)
+
+
+def test_an_unknown_interop_id_is_noted(tmp_path):
+    exr_of(tmp_path / "a.exr", ("", rgb(0.5), {"colorInteropID": "lin_martian_scene"}))
+    colours, notes = linear_colours(read_pixels(tmp_path / "a.exr"))
+    assert colours[0, 0, 0] == 0.5
+    assert "lin_martian_scene" in notes[0]
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+@pytest.mark.parametrize("cut", [1, 2, 3, 5, 40])
+def test_a_jpeg_may_lack_its_end_marker_and_no_more(tmp_path, progressive, cut):
+    codes = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
+    path = tmp_path / "a.jpg"
+    Image.fromarray(codes).save(path, progressive=progressive)
+    expected, photo = read_pixels(path), load_photo(path)
+    path.write_bytes(path.read_bytes()[:-cut])
+    if cut > 2:
+        for read in (read_pixels, load_photo):
+            with pytest.raises(MatcapError, match="truncated"):
+                read(path)
+        return
+    pixels = read_pixels(path)
+    np.testing.assert_array_equal(pixels.stored, expected.stored)
+    assert "end marker" in pixels.notes[0]
+    np.testing.assert_array_equal(load_photo(path).pixels, photo.pixels)

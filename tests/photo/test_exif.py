@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
+from matcap.files.pixels import upright
 from matcap.photo.exif import Exif, fov_of_film, phone_fov, read_exif
 from matcap.photo.load import load_photo
-from matcap.photo.orient import upright
 
 ORIENTATION, EXIF_IFD, FOCAL_LENGTH_35, FLASH = 0x0112, 0x8769, 0xA405, 0x9209
 
@@ -249,3 +249,27 @@ def test_broken_exif_never_raises(data):
 def test_senseless_field_of_view_is_a_usage_error(photo_of, codes, fov):
     with pytest.raises(UsageError, match="field of view"):
         photo_of(codes, "a.jpg", fov=fov)
+
+
+def segment(marker: int, data: bytes) -> bytes:
+    return bytes((0xFF, marker)) + struct.pack(">H", len(data) + 2) + data
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        [segment(0xE1, b"http://ns.adobe.com/xmp/extension/\0" + bytes(60_000))] * 3,
+        [segment(0xEB, b"JP\0\1" + bytes(60_000))] * 4,
+        [segment(0xFE, b"Exif of another: Exif\0\0"), b"\xff", segment(0xE2, b"MPF\0" + bytes(90))],
+    ],
+    ids=["XMP extension", "C2PA", "comment, fill byte, MPF"],
+)
+def test_exif_behind_other_segments(tmp_path, codes, before):
+    path = tmp_path / "a.jpg"
+    Image.fromarray(codes).save(path, exif=exif(orientation=6, focal_length=28, flash=1))
+    data = path.read_bytes()
+    path.write_bytes(data[:2] + b"".join(before) + data[2:])
+    found = read_exif(path)
+    assert found.orientation == 6
+    assert found.film_focal_length == 28.0
+    assert found.flash_fired is True

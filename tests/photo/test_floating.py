@@ -8,7 +8,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 import tifffile
-from dng_files import write_dng
+from simulated.files import write_dng
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import write_exr

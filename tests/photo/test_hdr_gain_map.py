@@ -11,10 +11,10 @@ from gain_map_files import apple_xmp, exif, hdrgm, iso, jpeg, maker_note, write
 from icc_files import matrix_profile, parametric
 
 from matcap.files.color import rec709_decode, srgb_decode
+from matcap.files.pixels import upright
 from matcap.photo import developed as lossy
 from matcap.photo.hdr_gain_map import of_jpeg
 from matcap.photo.load import load_photo
-from matcap.photo.orient import upright
 
 LOW, HIGH, GAMMA, BASE_OFFSET, OFFSET = -0.3, 2.2, 1.5, 1 / 64, 1 / 32
 

@@ -6,6 +6,7 @@ import pytest
 
 from matcap.errors import MatcapError
 from matcap.relight.foreign.names import (
+    OBJECT_SPACE,
     assigned,
     named,
 )
@@ -139,6 +140,51 @@ SETS = {
         "Cube_Bake1_PBR_Normal.png": "normal",
         "Cube_Bake1_COMBINED.png": "preview",
     },
+    "letters between separators": {
+        "T_Rock_BaseColor.png": "base",
+        "T_Rock_Normal.png": "normal",
+        "T_Rock_AO_R_M.png": ORM,
+        "T_Rock_R_M.png": None,
+    },
+    "abbreviations between separators": {
+        "Rock_albedo.png": "base",
+        "Rock_normal.png": "normal",
+        "Rock_ao_rough_metal.png": ORM,
+    },
+    "layers of OpenPBR, Arnold and glTF": {
+        "m_base_color.png": "base",
+        "m_specular_roughness.png": "roughness",
+        "m_coat_roughness.png": "coating",
+        "m_clearcoatRoughness.png": "coating",
+        "m_coat_normal.png": "coating",
+        "m_sheen_roughness.png": "coating",
+        "m_transmission_roughness.png": "translucency",
+        "m_subsurface_color.png": "translucency",
+        "m_emission_color.png": "emission",
+        "m_base_diffuse_roughness.png": "diffuse roughness",
+    },
+    "Arnold": {
+        "m_baseColor.exr": "base",
+        "m_specularRoughness.exr": "roughness",
+        "m_diffuseRoughness.exr": "diffuse roughness",
+    },
+    "Terrain3D": {
+        "rock023_alb_ht.png": {"base": "RGB", "height": "A"},
+        "rock023_nrm_rgh.png": {"normal": "RGB", "roughness": "A"},
+    },
+    "spaces of normals": {
+        "DefaultMaterial_BaseColor.png": "base",
+        "DefaultMaterial_Normal.png": "normal",
+        "DefaultMaterial_World Space Normal.png": {OBJECT_SPACE: "RGB"},
+        "DefaultMaterial_NormalOS.png": {OBJECT_SPACE: "RGB"},
+        "DefaultMaterial_normal_ws.png": {OBJECT_SPACE: "RGB"},
+        "DefaultMaterial_object_normal.png": {OBJECT_SPACE: "RGB"},
+    },
+    "materials that are called after layers": {
+        "red_coat_basecolor.png": "base",
+        "red_coat_normal.png": "normal",
+        "red_coat_roughness.png": "roughness",
+    },
     "no name before the map": {
         "color.png": "base",
         "normal_dx.png": "normal dx",
@@ -240,3 +286,22 @@ def test_two_materials_or_sizes_in_a_folder_are_refused(tmp_path, names):
 def test_occlusion_is_never_metallic(tmp_path):
     for name in ("metal_ao.png", "metal_plate_ao_1k.jpg", "brushed-metal-ao.png", "Metal_AO.tif"):
         assert "metallic" not in named([Path(name)])[0].channels
+
+
+@pytest.mark.parametrize(
+    ("name", "space"),
+    [
+        ("m_BaseColor_ACES - ACEScg.exr", "lin_ap1"),
+        ("m_BaseColor_ACES - ACES2065-1.exr", "lin_ap0"),
+        ("m_BaseColor_Utility - Linear - sRGB.exr", "lin_rec709"),
+        ("m_basecolor_linear.png", "lin_rec709"),
+        ("m_linear_basecolor.png", "lin_rec709"),
+        ("m_basecolor_raw.tif", "lin_rec709"),
+        ("m_basecolor_srgb.png", ""),
+        ("linear_stripes_basecolor.png", ""),
+    ],
+)
+def test_the_colour_space_in_a_name(name, space):
+    (file,) = named([Path(name)])
+    assert file.channels == {"base": "RGB"}
+    assert file.space == space

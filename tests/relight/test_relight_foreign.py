@@ -567,3 +567,82 @@ def test_tiles_of_a_texture_set_are_put_together(tmp_path):
     expected = np.kron(grid - 1000, np.ones((4, 6))) / 255.0
     np.testing.assert_allclose(found.diffuse[0], expected, atol=1e-6)
     assert not found.periodic and found.texel_size == 0.5
+
+
+# Kinds of maps that other programs write beside these.
+
+
+def test_f0_beside_a_diffuse_map(plain):
+    """Diffuse, coloured specular, roughness and normal, as in papers: specular is F0."""
+    folder, pictures, texture = plain
+    (folder / "a_Color.png").rename(folder / "a_diffuse.png")
+    for file in folder.glob("a_Metal*"):
+        file.unlink()
+    f0 = np.full((*pictures["base"].shape[:2], 3), (0.9, 0.6, 0.3), np.float32)
+    png(folder / "a_specular.png", srgb_picture(f0))
+    read = read_foreign(folder)
+    np.testing.assert_allclose(read.texture.specular[:, 3, 3], (0.9, 0.6, 0.3), atol=1e-3)
+    assert any("read as F0" in note for note in read.notes)
+
+
+def test_normals_of_object_space_are_refused(plain):
+    """By name, and by their look: of a sphere, and of a plane that faces +y."""
+    folder, _, _ = plain
+    file = next(folder.glob("a_Normal*"))
+    file.rename(folder / "a_NormalOS.png")
+    with pytest.raises(MatcapError, match=r"object or world space \(a_NormalOS"):
+        read_foreign(folder)
+    (folder / "a_NormalOS.png").unlink()
+    sphere = np.random.default_rng(3).normal(size=(32, 32, 3))
+    sphere /= np.linalg.norm(sphere, axis=2, keepdims=True)
+    wall = np.zeros((32, 32, 3)) + (0.0, 1.0, 0.05)
+    for normals in (sphere, wall):
+        png(folder / "a_NormalGL.png", (0.5 + 0.5 * normals).astype(np.float32))
+        with pytest.raises(MatcapError, match="object or world space"):
+            read_foreign(folder)
+
+
+def test_occlusion_in_a_normal_map_s_blue_is_no_z(plain):
+    folder, _, _ = plain
+    before = read_foreign(folder).texture.slopes
+    file = next(folder.glob("a_Normal*"))
+    codes = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    largest = np.iinfo(codes.dtype).max
+    occlusion = np.random.default_rng(4).uniform(0.3, 1.0, codes.shape[:2])
+    codes[..., 0] = (occlusion * largest).astype(codes.dtype)
+    cv2.imwrite(str(file), codes)
+    read = read_foreign(folder)
+    assert any("blue holds other data" in note for note in read.notes)
+    np.testing.assert_allclose(read.texture.slopes, before, atol=0.02)
+
+
+def test_maps_in_a_folder_inside_are_pointed_to(plain):
+    folder, _, _ = plain
+    inside = folder / "textures"
+    inside.mkdir()
+    for file in folder.glob("*.png"):
+        file.rename(inside / file.name)
+    with pytest.raises(MatcapError, match=r"give the folder that holds it \(textures\)"):
+        read_foreign(folder)
+
+
+def test_tiles_of_others_are_called_so(plain):
+    folder, _, _ = plain
+    for file in list(folder.glob("*.png")):
+        for tile in (1001, 1002):
+            (folder / f"{file.stem}.{tile}.png").write_bytes(file.read_bytes())
+        file.unlink()
+    with pytest.raises(MatcapError, match="are UDIM tiles"):
+        read_foreign(folder)
+    for file in folder.glob("*.1002.png"):
+        file.unlink()
+    read_foreign(folder)
+
+
+@pytest.mark.parametrize("suffix", ["jfif", "jpe"])
+def test_jpegs_of_other_suffixes(plain, suffix):
+    folder, pictures, _ = plain
+    (folder / "a_Color.png").unlink()
+    Image.fromarray(code(pictures["base"])).save(folder / "a.jpg", quality=95)
+    (folder / "a.jpg").rename(folder / f"a_Color.{suffix}")
+    assert read_channels(folder).files["base"] == f"a_Color.{suffix}"

@@ -77,8 +77,8 @@ def write_dng(
     orientation: int = 1,
     opcodes2: bytes = b"",
     opcodes3: bytes = b"",
-    black: int = BLACK,
-    white: int = WHITE,
+    black: int | tuple[int, ...] | None = BLACK,
+    white: int | tuple[int, ...] = WHITE,
     exif: dict[int, int | Fraction] | None = None,
     color_matrix: NDArray | None = None,
     active_area: tuple[int, int, int, int] | None = None,
@@ -94,8 +94,17 @@ def write_dng(
         (272, 2, 0, "test camera", True),
         (50708, 2, 0, "matcap test camera", True),
         (274, 3, 1, orientation, True),
-        (50714, 3, planes, (black,) * planes if planes > 1 else black, True),
-        (50717, 3, planes, (white,) * planes if planes > 1 else white, True),
+        *(
+            (
+                tag,
+                3,
+                planes,
+                level if isinstance(level, tuple) or planes == 1 else (level,) * planes,
+                True,
+            )
+            for tag, level in ((50714, black), (50717, white))
+            if level is not None
+        ),
         (
             50721,
             10,

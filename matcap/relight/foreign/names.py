@@ -35,7 +35,8 @@ from matcap.files.settings import bounded, whole
 
 # Formats that are read; of two files of one map, the one with the earlier suffix.
 READ_SUFFIXES = (
-    ".exr", ".tif", ".tiff", ".tx", ".png", ".tga", ".bmp", ".webp", ".jpg", ".jpeg",
+    ".exr", ".tif", ".tiff", ".tx", ".png", ".tga", ".bmp", ".webp", ".jpg", ".jpeg", ".jpe",
+    ".jfif",
 )  # fmt: skip
 # Pictures that are not read, and noted.
 _OTHER_SUFFIXES = (
@@ -57,8 +58,8 @@ _WORDS: dict[str, tuple[str, ...]] = {
     "gloss": ("glossiness", "gloss", "smoothness", "smooth", "gls"),
     "metallic": ("metallic", "metalness", "metal", "metallness", "mtl", "met"),
     "height": (
-        "displacement", "displace", "disp", "dsp", "height", "heightmap", "hgt", "parallax", "bump",
-        "bmp",
+        "displacement", "displace", "disp", "dsp", "height", "heightmap", "hgt", "ht", "parallax",
+        "bump", "bmp",
     ),
     "specular": ("specular", "spec", "spc", "f0", "reflection", "refl"),
     "specular level": ("specularlevel", "speclevel"),
@@ -72,6 +73,7 @@ _WORDS: dict[str, tuple[str, ...]] = {
         "translucency", "transmission", "thickness", "subsurface", "sss", "scattering", "fuzz",
     ),
     "coating": ("clearcoat", "coat", "sheen", "anisotropy", "anisotropic", "ior"),
+    "diffuse roughness": ("diffuseroughness",),
     "preview": ("preview", "thumb", "thumbnail", "render", "combined", "uv", "wireframe"),
 }  # fmt: skip
 _STYLES = {
@@ -81,14 +83,35 @@ _STYLES = {
 # Qualifiers of a map's name that do not change which map it is.
 _QUALIFIERS = (
     "map", "tex", "texture", "srgb", "linear", "lin", "raw", "noncolor", "data", "ambient", "mixed",
-    "tangent", "pbr",
+    "tangent", "pbr", "space", "world", "object", "ws", "os", "worldspace", "objectspace", "aces",
+    "acescg", "utility",
 )  # fmt: skip
+_UDIM = re.compile(r"(?<!\d)1\d{3}(?!\d)")  # a tile's number in a name (1001 and up)
+# Words that say that normals are not in tangent space.
+_SPATIAL = frozenset(("world", "object", "ws", "os", "worldspace", "objectspace"))
+OBJECT_SPACE = "normals of object or world space"
+# Words before a map's that make it a map of another layer than the base.
+_LAYERS = ("coating", "translucency", "emission")
+# Colour spaces that Substance, ACES pipelines and people add to names, by their first word.
+_SPACES = {
+    "acescg": "lin_ap1", "ap1": "lin_ap1", "ap0": "lin_ap0", "2020": "lin_rec2020",
+    "aces2065": "lin_ap0", "2065": "lin_ap0",
+    "linear": "lin_rec709", "lin": "lin_rec709", "raw": "lin_rec709",
+}  # fmt: skip
+# Separate words that are one: names of OpenPBR and Arnold, and of maps packed by letters.
+_ONE_WORD = re.compile(
+    r"(?i)(?<![a-z])(diffuse|specular)[\s_\-.]+(roughness)(?![a-z])"
+    r"|(?<![a-z])(ao|occ|occlusion)[\s_\-.]+(rough(?:ness)?|rgh)[\s_\-.]+(metal(?:lic|ness)?|met)(?![a-z])"
+    r"|(?<![a-z])(ao|[orm])[\s_\-.]+(ao|[orm])[\s_\-.]+(ao|[orm])(?![a-z])"
+)
 _RESOLUTION = re.compile(r"\d+|\d+k|\d+x\d+|\d+px|jpe?g|png|exr|tiff?|tga|webp|lod\d|v\d+|bake\d*")
 # Maps by a single letter at the end of a name, as in T_Brick_N.
 _LETTERS = {
     "d": "base", "c": "base", "n": "normal", "r": "roughness", "g": "gloss", "m": "metallic",
     "h": "height", "s": "specular", "o": "ambient occlusion", "e": "emission",
 }  # fmt: skip
+
+_SCALAR_LETTERS = frozenset(("r", "m", "o", "ao"))
 
 # Channel of a picture that holds a map, by map: "R", "G", "B", "A", or "RGB".
 Packing = Mapping[str, str]
@@ -111,6 +134,7 @@ SHORT: dict[str, Packing] = {
 _SPELLED: dict[tuple[str, ...], Packing] = {
     ("metallic", "roughness"): {"roughness": "G", "metallic": "B"},
     ("metallic", "gloss"): {"metallic": "R", "gloss": "A"},
+    ("specular", "roughness"): {"roughness": "R"},  # Arnold's and OpenPBR's, of the base
     ("base", "opacity"): {"base": "RGB", "opacity": "A"},
     ("bent normal", "normal"): {"bent normal": "RGB"},
     ("base", "specular"): {"specular": "RGB"},  # specular colour, said the other way round
@@ -138,8 +162,10 @@ class NamedFile:
     """Rank: of two files of the same map the one of lower rank is used."""
     stem: str = ""
     """The name without the words that name a map: the same for all files of a set."""
-    light: bool = False
-    """Colours are linear, whatever the file states."""
+    diffuse: bool = False
+    """The name calls a base colour diffuse."""
+    space: str = ""
+    """Colour space that the name states (space_of_name), before what the file does; or ""."""
 
 
 @dataclass(frozen=True)
@@ -200,10 +226,15 @@ def assigned(folder: Path) -> SetFiles:
         taken = [kind for kind in wanted if kind in files]
         for kind in taken:
             if files[kind].stem != file.stem:
+                both = files[kind].path.name, file.path.name
+                tiles = all(_UDIM.search(name) for name in both)
                 raise MatcapError.at(
                     folder,
-                    f"{files[kind].path.name} and {file.path.name} are both its {kind} map",
-                    "keep the maps of one set, in one size, in a folder",
+                    f"{both[0]} and {both[1]} are "
+                    + ("UDIM tiles" if tiles else f"both its {kind} map"),
+                    "keep the maps of one tile in a folder, without the number"
+                    if tiles
+                    else "keep the maps of one set, in one size, in a folder",
                 )
         files |= {kind: file for kind in wanted if kind not in files}
         if not wanted:
@@ -243,7 +274,13 @@ def _preference(file: NamedFile) -> tuple[int, int, int, int, str]:
     return maps, ("gl", "", "dx").index(file.style), file.rank, suffix, file.path.name
 
 
+def words_of(kind: str) -> tuple[str, ...]:
+    """Words that name a map, in lower case."""
+    return _WORDS.get(kind, ())
+
+
 def _words(stem: str) -> tuple[_Word, ...]:
+    stem = _ONE_WORD.sub(lambda match: "".join(part for part in match.groups() if part), stem)
     tokens = [token for token in re.split(r"[\s_\-.,()\[\]+#@]+", stem) if token]
     return tuple(_Word(text, place) for place, token in enumerate(tokens) for text in _cut(token))
 
@@ -307,11 +344,23 @@ def _named(
     styles = [kind for kind, _ in said if kind in _STYLES]
     short = next((SHORT[word.text] for _, word in said if word.text in SHORT), None)
     channels = short or _channels(kinds)
+    texts_said = {word.text for _, word in said}
+    if channels.get("normal") == "RGB" and _SPATIAL & texts_said:
+        channels = {OBJECT_SPACE: "RGB"}
     rank = max((_rank(kind, word.text) for kind, word in said), default=0)
     used = {id(word) for _, word in said}
     stem = " ".join(word.text for word in words if id(word) not in used)
     style = styles[-1] if styles and "normal" in channels else ""
-    return NamedFile(path, channels, style, rank, stem)
+    diffuse = "base" in channels and bool({"diffuse", "diff", "dif"} & texts_said)
+    space = _space([word.text for word in words], said) if "base" in channels else ""
+    return NamedFile(path, channels, style, rank, stem, diffuse, space)
+
+
+def _space(texts: Sequence[str], said: Sequence[tuple[str, _Word]]) -> str:
+    """The colour space that the words at and after a map's state, or ""."""
+    spoken = [word.text for _, word in said]
+    first = len(texts) - texts[::-1].index(spoken[0]) - 1
+    return next((_SPACES[text] for text in texts[first:] if text in _SPACES), "")
 
 
 def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
@@ -320,6 +369,8 @@ def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
     Args:
         alone: the name has no other words: a single letter then names no map.
     """
+    if len(rest) > 1 and {rest[-1].text, rest[-2].text} <= _SCALAR_LETTERS:
+        return []  # a packed map whose order nothing states
     if rest and rest[-1].text in _LETTERS and not alone:
         return [(_LETTERS[rest[-1].text], rest[-1])]
     end = len(rest)
@@ -347,6 +398,10 @@ def _goes_with(word: _Word, following: Sequence[_Word]) -> bool:
     kinds = tuple(dict.fromkeys(_KIND[w.text] for w in following if w.text in _KIND))
     if kind is None or not kinds:
         return False
+    if kind in _LAYERS:
+        return True
+    if (word.text, following[0].text) in _PAIRS:
+        return True
     if kind == kinds[0]:
         return (word.text, following[0].text) in (("base", "color"), ("base", "colour"))
     whole = all(w.text == _WORDS[_KIND[w.text]][0] or w.text in _LONG for w in following)
@@ -354,6 +409,8 @@ def _goes_with(word: _Word, following: Sequence[_Word]) -> bool:
     return whole and (kind, *kinds) in _JOINED
 
 
+# A colour and a scalar in alpha (Terrain3D).
+_PAIRS = {("alb", "ht"), ("albedo", "height"), ("nrm", "rgh"), ("normal", "roughness")}
 _LONG = ("occlusion", "smoothness", "bent", "normal", "specular", "color", "ao")
 _JOINED = {
     ("metallic", "roughness"),
@@ -368,6 +425,8 @@ _JOINED = {
 
 def _channels(kinds: tuple[str, ...]) -> Packing:
     """Channels of the maps that a name lists; {} where no packing is known for them."""
+    if len(kinds) > 1 and kinds[0] in _LAYERS:
+        return {kinds[0]: "R"}
     if kinds in _SPELLED:
         return _SPELLED[kinds]
     if len(kinds) == 1:
@@ -512,7 +571,8 @@ def _stated_file(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile
     style = "dx" if "-Y" in meaning or "+Y down" in meaning else "gl"
     rank = 0 if meaning.startswith(("diffuse albedo", "specular albedo")) else 1
     style = style if "normal" in channels else ""
-    return NamedFile(folder / name, channels, style, rank, light=entry["colour_space"] == "linear")
+    space = "lin_rec709" if entry["colour_space"] == "linear" else ""
+    return NamedFile(folder / name, channels, style, rank, space=space)
 
 
 _SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,16 @@ from matcap.errors import MatcapError
 from matcap.files.names import TOKEN, tile_names
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.relight.camera import Array
-from matcap.relight.foreign.names import NamedFile, SetFiles, assigned, stated_export, usual_style
+from matcap.relight.foreign.names import (
+    OBJECT_SPACE,
+    READ_SUFFIXES,
+    NamedFile,
+    SetFiles,
+    assigned,
+    stated_export,
+    usual_style,
+    words_of,
+)
 from matcap.relight.texture import Texture
 
 # Decode normal maps of other programs, and determine which way their green points.
@@ -27,7 +36,10 @@ _STEEPEST = 20.0  # largest slope that 8 bits resolve
 _STEP = 2.0 / 255.0  # range below which a channel is constant
 _UNIT = 0.05  # largest mean deviation of vectors' length from 1
 _NEGATIVE = 0.01  # largest share of negative texels in a map stored as 0.5 + 0.5 n
-_FACING_DOWN = 0.5  # largest share of normals with z <= 0
+_FACING_DOWN = 0.3  # largest share of normals with z <= 0
+_LEANING = 0.5  # least z of the mean normal's direction; a tangent-space map's faces the viewer
+_OTHER = 0.1  # mean difference of blue from z = sqrt(1 - x^2 - y^2) above which it may be no z
+_FOLLOWS = 0.5  # correlation of blue with that z below which it is none
 _CLEARLY = 0.9  # ratio of the curls above which the test is undecided
 _SAMPLE = 1_000_000  # texels from which a map's encoding is determined
 
@@ -36,11 +48,11 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
     """(2, H, W) dh/dx and dh/dy of a normal map, y along its green; and notes.
 
     Integers are 0.5 + 0.5 n. Floats are that or n itself, whichever gives vectors of length 1. If
-    blue is missing or constant, z = sqrt(1 - x^2 - y^2). If red is constant and alpha is not, x is
-    in alpha (DXT5nm compression).
+    blue is missing, constant or other data (occlusion), z = sqrt(1 - x^2 - y^2). If red is constant
+    and alpha is not, x is in alpha (DXT5nm compression).
 
     Raises:
-        MatcapError: a single channel, or most vectors have z <= 0.
+        MatcapError: a single channel, or normals that are not in tangent space.
     """
     name = pixels.path.name
     if pixels.grey:
@@ -67,12 +79,18 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
         notes.append(f"{name}: z is computed from x and y")
         z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
     facing_down = float((z <= 0.0).mean())
-    if facing_down > _FACING_DOWN:
+    mean = np.array([float(one.mean()) for one in (x, y, z)])
+    if facing_down > _FACING_DOWN or mean[2] < _LEANING * float(np.linalg.norm(mean)):
         raise MatcapError.at(
             pixels.path,
-            f"{facing_down:.0%} of its normals point away from the surface",
+            f"{facing_down:.0%} of its normals point away from the surface and their mean is "
+            f"({mean[0]:.2f}, {mean[1]:.2f}, {mean[2]:.2f}), so it is of object or world space",
             "bake it in tangent space",
         )
+    if "B" in pixels.roles and facing_down > 1e-3 and _is_other(x, y, z):
+        notes.append(f"{name}: blue holds other data than z, which is computed from x and y")
+        z = np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))
+        facing_down = 0.0
     if facing_down > 1e-3:
         notes.append(
             f"{name}: {facing_down:.1%} of its normals point away from the viewer; "
@@ -144,6 +162,15 @@ def _sample(plane: Array) -> Array:
     return plane.reshape(-1)[:: max(1, plane.size // _SAMPLE)]
 
 
+def _is_other(x: Array, y: Array, z: Array) -> bool:
+    """Whether z does not follow from x and y, as where it is ambient occlusion."""
+    unit = np.sqrt(np.maximum(1.0 - _sample(x) ** 2 - _sample(y) ** 2, 0.0))
+    stored = _sample(z)
+    if float(np.abs(stored - unit).mean()) < _OTHER or float(unit.std()) == 0.0:
+        return False
+    return float(np.corrcoef(stored, unit)[0, 1]) < _FOLLOWS
+
+
 def _constant(plane: Array) -> bool:
     return bool(float(plane.max()) - float(plane.min()) < _STEP)
 
@@ -153,6 +180,7 @@ def _constant(plane: Array) -> bool:
 
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
 _COLOURED = 0.02  # mean difference between channels above which a picture is coloured
+_MOST_FOLDERS = 50  # that are looked into
 _SHAPE = 0.02  # largest relative difference of the maps' aspect ratios
 
 
@@ -190,6 +218,8 @@ class SetChannels:
     """What was guessed or not used, a sentence each."""
     files: Mapping[str, str]
     """File names by map."""
+    diffuse: bool = False
+    """The base colour's name says diffuse."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -212,14 +242,35 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
         raise MatcapError.at(folder, "no such folder", "check the path")
     with tempfile.TemporaryDirectory(prefix="matcap-") as place:
         about = stated_export(folder, Path(place)) or assigned(folder)
+        spatial = [line for line in about.left_out if f"({OBJECT_SPACE})" in line]
+        if spatial and "normal" not in about.files:
+            raise MatcapError.at(
+                folder,
+                f"its only normal map is of object or world space ({', '.join(spatial)})",
+                "bake it in tangent space, or remove it",
+            )
         if "base" not in about.files:
             unused = f" (not used: {', '.join(about.left_out)})" if about.left_out else ""
+            inside = ", ".join(_folders_of_maps(folder))
             raise MatcapError.at(
                 folder,
                 f"there is no map of base colour in this folder{unused}",
-                "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
+                f"give the folder that holds it ({inside})"
+                if inside
+                else "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
             )
         return _Set(about, dict(about.files), left_out=[*about.left_out]).channels(normal)
+
+
+def _folders_of_maps(folder: Path) -> list[str]:
+    """Names of the folders in a folder that hold pictures, the first three."""
+    inside = sorted(one for one in folder.iterdir() if one.is_dir() and one.name[0] not in "._")
+    with_pictures = [
+        one.name
+        for one in inside[:_MOST_FOLDERS]
+        if any(file.suffix.lower() in READ_SUFFIXES for file in one.iterdir())
+    ]
+    return with_pictures[:3]
 
 
 @dataclass
@@ -274,12 +325,15 @@ class _Set:
             periodic=about.periodic,
             notes=tuple(self.notes),
             files={kind: file.path.name for kind, file in self.files.items()},
+            diffuse=self.files["base"].diffuse,
         )
 
     def _pixels(self, kind: str) -> Pixels:
         path = self.files[kind].path
         if path not in self._opened:
-            self._opened[path] = _read(path, self.about.grid)
+            pixels = _read(path, self.about.grid, _wanted(self.files[kind].channels))
+            self.notes += [f"{path.name}: {note}" for note in pixels.notes]
+            self._opened[path] = pixels
         return self._opened[path]
 
     def _leave_out_what_is_not_there(self) -> None:
@@ -308,7 +362,7 @@ class _Set:
         if kind not in self.files:
             return None
         pixels = self._pixels(kind)
-        colours, notes = linear_colours(pixels, light=self.files[kind].light)
+        colours, notes = linear_colours(pixels, named=self.files[kind].space)
         self.notes += [f"{pixels.path.name}: {note}" for note in notes]
         if "A" in pixels.roles and "A" not in self.files[kind].channels.values():
             opaque = float(pixels.channel("A").min()) >= 0.999
@@ -407,10 +461,15 @@ class _Set:
         return np.stack(resized)
 
 
-def _read(path: Path, grid: tuple[int, int] | None) -> Pixels:
+def _wanted(channels: Mapping[str, str]) -> tuple[str, ...]:
+    """Words of the maps that a file should hold, for its layers."""
+    return tuple(word for kind in channels for word in words_of(kind))
+
+
+def _read(path: Path, grid: tuple[int, int] | None, wanted: tuple[str, ...]) -> Pixels:
     """Read a picture, or all UDIM tiles of one, joined."""
     if grid is None or TOKEN not in path.name:
-        return read_pixels(path)
+        return read_pixels(path, wanted=wanted)
     columns, _ = grid
     parts = [read_pixels(path.with_name(name)) for name in tile_names(path.name, grid)]
     lines = [parts[start : start + columns] for start in range(0, len(parts), columns)]
@@ -419,7 +478,7 @@ def _read(path: Path, grid: tuple[int, int] | None) -> Pixels:
         raise MatcapError.at(path, "its tiles differ in size", "export the material again")
     rows = [np.concatenate([one.stored for one in line], axis=1) for line in lines]
     whole = np.concatenate(rows[::-1])
-    return Pixels(first.path, whole, first.roles, first.primaries)
+    return replace(first, stored=whole)
 
 
 # Map sets of other programs as a texture to relight.
@@ -440,6 +499,7 @@ _METALS = frozenset(
     ("metal", "steel", "iron", "gold", "silver", "copper", "brass", "bronze", "chrome", "aluminium",
      "aluminum", "titanium", "zinc", "tin")
 )  # fmt: skip
+_COLOURED_SHARE = 0.01  # of texels from which on a specular map is coloured
 _FLAT = 1e-6  # relative range below which a height map is flat
 
 
@@ -486,10 +546,12 @@ def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELEC
 def _reflectance(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
     """(3, H, W) diffuse albedo and (1 or 3, H, W) F0."""
     base, metallic, specular = channels.base, channels.metallic, channels.specular
-    stated = channels.exact or ("gloss" in channels.files and metallic is None)
-    if specular is not None and stated:
+    glossy = "gloss" in channels.files and metallic is None
+    coloured = channels.diffuse and metallic is None and _is_coloured(specular)
+    if specular is not None and (channels.exact or glossy or coloured):
         if not channels.exact:
-            notes.append(f"{channels.files['specular']} is read as F0, since the set has gloss")
+            why = "the set has gloss" if glossy else "it is coloured, beside a diffuse map"
+            notes.append(f"{channels.files['specular']} is read as F0, since {why}")
         if channels.conserving:
             base = base * (1.0 - specular.max(axis=0, keepdims=True))
         grey = np.ptp(specular, axis=0).max() < 1e-6
@@ -503,6 +565,13 @@ def _reflectance(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]
         metallic = np.zeros((1, *channels.shape), dtype=np.float32)
     both = metallic_of(base, metallic, plain)
     return both[:3], both[3:] if metallic.any() else both[3:4]
+
+
+def _is_coloured(specular: Array | None) -> bool:
+    """Whether a specular map has colours, as F0 of metals has."""
+    if specular is None:
+        return False
+    return float((np.ptp(specular, axis=0) > _COLOURED).mean()) > _COLOURED_SHARE
 
 
 def _relief(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
