@@ -125,7 +125,7 @@ def _read(path: Path) -> dict[str, Tensor]:
         with path.open("rb") as file:
             digits = hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, SafetensorError) as error:
-        raise MatcapError.at(path, f"the weights cannot be read ({error})", _REMEDY) from error
+        raise MatcapError.at(path, "the weights cannot be read", _REMEDY) from error
     if not digits.startswith(_DIGITS):
         raise MatcapError.at(
             path,
@@ -247,12 +247,12 @@ def capture_by_decoder(
     if tuned.history and effort.matched:
         with clock.stage("matching"), postponed() as stopped:
             material = match_photograph(material, plane, settings.seed)
-        clock.interrupted |= stopped()
+        clock.interrupted |= bool(stopped())
 
     if estimate is None and settings.aligned:
         with postponed() as stopped:
             estimate = estimated(CaptureClock(None))
-        clock.interrupted |= stopped()
+        clock.interrupted |= bool(stopped())
     went = Tuning(tuned.history, window_distance, drawing is not None)
     if photo.turned:  # all above is in landscape format
         material = _upright(material)

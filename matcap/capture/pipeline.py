@@ -105,7 +105,7 @@ def capture_into(
     result = _captured(groups, settings, clock)
     with clock.stage("write"), postponed() as stopped:
         write_outputs(result, folder, outputs)
-    return replace(result, interrupted=result.interrupted or stopped())
+    return replace(result, interrupted=result.interrupted or bool(stopped()))
 
 
 def capture_file(

@@ -94,6 +94,8 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 )
 # Under a time limit, so that it ends the work rather than the step count.
 UNLIMITED = Effort("standard", 800)
+# Seconds of the shortest capture, from the command's start to its end, on one idle thread.
+LEAST_TIME = 10.0
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
@@ -457,6 +459,22 @@ _OTHERS = 1.0 - sum(DRAWING_STAGES[name] for name in _EXEMPLAR)
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
     {name: share / _OTHERS for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
 )
+
+# What is shown of a stage; several stages that a person need not tell apart have one name.
+_ESTIMATING = "estimating maps"
+SHOWN_STAGES: Mapping[str, str] = {
+    "read": "reading",
+    "register": "aligning the photographs",
+    "coarse fit": "finding the highlight",
+    **dict.fromkeys(
+        ("network", "relief spectrum", "refine", "align", "solve", "predict"), _ESTIMATING
+    ),
+    "inpaint": "filling the highlight",
+    "index": "preparing the texture",
+    **dict.fromkeys(("statistics", "start", "fine-tuning", "matching"), "training the decoder"),
+    "verdict": "checking",
+    "write": "writing",
+}
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from matcap.capture.settings import SHOWN_STAGES
 from matcap.files.settings import spoken_duration
 from matcap.photo.checks import Rating
 
@@ -94,20 +95,21 @@ class CaptureDisplay(_Shown):
         """Show the stage, the error and the remaining time."""
         error = ""
         left = "" if now.seconds_left is None else spoken_duration(now.seconds_left)
+        stage = SHOWN_STAGES.get(now.stage, now.stage)
         if now.error is not None:
-            error = f"texture distance {now.error:.2f} times that between parts of the photograph"
+            error = f"differs {now.error:.2f} times as much as parts of the photograph"
         if self._bars is not None and self._task is not None:
             to_go = left and f"{left} left"
             self._bars.update(
-                self._task, completed=now.fraction, stage=now.stage, error=error, left=to_go
+                self._task, completed=now.fraction, stage=stage, error=error, left=to_go
             )
-        elif not self._quiet and now.stage not in (self._stage, "read"):
-            # Without the stage `read`, so that an unreadable file prints only its error.
-            self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
+        elif not self._quiet and stage != self._stage and now.stage != "read":
+            # Without reading, so that an unreadable file prints only its error.
+            self._say(f"  {now.seconds:6.1f} s  {stage}  {error}".rstrip())
         if now.interrupted and not self._interrupted and not self._quiet:
             soon = left and f", in about {left}"
             self._say(f"  interrupted: saving the best so far{soon}")
-        self._stage, self._interrupted = now.stage, now.interrupted
+        self._stage, self._interrupted = stage, now.interrupted
 
     def finished(self, photo: Path, done: dict[str, Any]) -> None:
         """Print the folder, the verdict and notes of a completed capture."""
@@ -204,7 +206,8 @@ class BatchDisplay(_Shown):
         name = entry.sample.name
         self._shares[name] = now.fraction
         if self._bars is not None and name in self._tasks:
-            self._bars.update(self._tasks[name], completed=now.fraction, stage=now.stage)
+            stage = SHOWN_STAGES.get(now.stage, now.stage)
+            self._bars.update(self._tasks[name], completed=now.fraction, stage=stage)
             if self._whole is not None:
                 self._bars.update(self._whole, left=self._left())
 

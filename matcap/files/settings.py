@@ -377,11 +377,17 @@ def _docs_in(module: str) -> dict[str, dict[str, str]]:
     return by_class
 
 
-def nearest(name: str, words: Iterable[str]) -> str:
-    """Remedy for an unknown word: the closest known one, or the list of all."""
-    words = list(words)
-    close = difflib.get_close_matches(name.lower(), words, n=1, cutoff=0.5)
-    return f"did you mean {close[0]!r}" if close else f"choose from {', '.join(words)}"
+def nearest(name: str, words: Iterable[str], otherwise: str = "") -> str:
+    """Remedy for an unknown word: the closest known one, or the list of all.
+
+    A word that begins `name`, or that `name` begins, is close. `otherwise` follows the list.
+    """
+    words, name = list(words), name.strip().lower()
+    begun = [word for word in words if name and (word.startswith(name) or name.startswith(word))]
+    close = begun or difflib.get_close_matches(name, words, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]!r}"
+    return f"choose from {', '.join(words)} {otherwise}".rstrip()
 
 
 def known(name: str, words: Iterable[str], where: str) -> str:

@@ -11,7 +11,7 @@ from typing import Literal
 import torch
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.settings import BRIGHTEST
+from matcap.files.settings import BRIGHTEST, nearest
 from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, to_upright, unproject
 
 # Scenes: film, camera, surface and lights, as plain values.
@@ -183,6 +183,8 @@ NAMED_LIGHTS: dict[str, Vector] = {
     "flash": Camera().position,
     "top": (0.0, 2.0, 1.2),
     "left": (-2.0, 0.0, 1.2),
+    "right": (2.0, 0.0, 1.2),
+    "bottom": (0.0, -2.0, 1.2),
 }
 
 
@@ -200,7 +202,7 @@ def scene_from_light(text: str) -> Scene:
     """A scene with the maps' own extent, from straight above, under one point light.
 
     Args:
-        text: a named light (flash, top, left), or "x,y,z" or "x,y,z,intensity" in plane units;
+        text: a key of NAMED_LIGHTS, or "x,y,z" or "x,y,z,intensity" in plane units;
             the default intensity is exposing_intensity.
 
     Raises:
@@ -220,7 +222,7 @@ _FARTHEST, _STRONGEST = 1e4, 1e9
 
 
 def _parse_light(text: str) -> tuple[Vector, float]:
-    remedy = f"give {', '.join(NAMED_LIGHTS)} or x,y,z[,intensity] such as -1,1,2"
+    remedy = nearest(text, NAMED_LIGHTS, "or x,y,z[,intensity] such as -1,1,2")
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -344,7 +344,7 @@ def preset(name: str) -> Scene:
         return scene_from_light(name)
     if name not in SCENES:
         raise UsageError.at(
-            name, "there is no such scene", f"give a .toml file or {', '.join(PRESETS)}"
+            name, "there is no such scene", nearest(name, PRESETS, "or a .toml file")
         )
     return SCENES[name]
 
