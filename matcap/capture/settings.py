@@ -140,51 +140,62 @@ class CaptureSettings(CheckedSettings):
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """Texels along the photograph's long side: instant (512, a preview), draft (1024) or standard
-    (2048). A decoder has 1024, and 0, 32 or 112 steps of fine-tuning."""
-    steps: int | None = setting(None, least=0, most=10_000_000)
+    """Texels across: instant (512, a preview), draft (1024) or standard (2048). A decoder
+    has 1024, and 0, 32 or 112 steps of fine-tuning."""
+    steps: int | None = setting(None, least=0, most=10_000_000, group="Decoder")
     """With the decoder: steps of fine-tuning, instead of the preset's."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
-    """Time limit of the whole capture, in seconds or as 90s, 2m: it determines the texels instead
-    of the preset and, without --steps, the steps of a decoder."""
-    detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
+    """Time limit of the whole capture: 90s, 2m. It determines the texels instead of the preset and,
+    without --steps, the steps of a decoder; the shortest capture takes about 10 seconds."""
+    detail: int | None = setting(
+        None, least=64, most=8192, otherwise="the preset's", group="Advanced"
+    )
     """Texels along the photograph's long side; by default the preset's if the photograph has as
     many pixels, and 1024 otherwise or with the decoder."""
     fov: float | None = setting(
-        None, least=1.0, most=170.0, metavar="1..170", otherwise="the photograph's"
+        None,
+        least=1.0,
+        most=170.0,
+        metavar="1..170",
+        otherwise="the photograph's",
+        group="Advanced",
     )
     """Field of view along the long side, degrees."""
-    white: float | None = setting(None, least=1e-9, most=1e9, otherwise="the file's, or 1")
+    white: float | None = setting(
+        None, least=1e-9, most=1e9, otherwise="the file's, or 1", group="Advanced"
+    )
     """Value that is white in files of floating-point numbers (EXR, HDR, TIFF, DNG): light above it
     is measured, and darker exposures of one scene stay comparable."""
-    width_cm: float | None = setting(None, least=0.01, most=1e5)
+    width_cm: float | None = setting(None, least=0.01, most=1e5, group="Output")
     """Length of the sample along the photograph's long side, centimetres: exports are true to
     scale."""
     crop: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """Rectangle of the photograph to capture, in pixels of the photograph as displayed."""
-    mask: Path | None = setting(None, metavar="FILE.png")
+    """Rectangle of the photograph to capture, pixels of the photograph as displayed."""
+    mask: Path | None = setting(None, metavar="FILE.png", group="Advanced")
     """Picture of the photograph's size: white is captured, black (a finger, a label, the table's
     edge) is left out."""
-    seed: int = setting(0, least=0, most=2**63 - 1)
+    seed: int = setting(0, least=0, most=2**63 - 1, group="Advanced")
     """Seed of the optimisation and of the map set."""
-    prior: str = setting("auto", metavar="auto|none|PATH")
+    prior: str = setting("auto", metavar="auto|none|PATH", group="Decoder")
     """With the decoder: trained prior to start from; auto is the one that comes with matcap, none a
     random initialisation."""
-    statistics: Statistics = setting(Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse)
+    statistics: Statistics = setting(
+        Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse, group="Decoder"
+    )
     """With the decoder: features whose statistics measure the texture distance."""
-    generator: Generator = setting("example", words=("decoder", "example"))
+    generator: Generator = setting("example", words=("decoder", "example"), group="Decoder")
     """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
     the paper's network, fine-tuned (decoder)."""
-    drawing: bool = setting(True)
+    drawing: bool = setting(True, group="Decoder")
     """With the decoder: add log luminance and relief of the rearranged exemplar to its inputs, so
     that the material has the photograph's pattern; without, its input is noise alone, as in the
     paper."""
-    union: bool = setting(False)
-    """With several photographs of one sample: estimate maps of all that they show, not only of the
-    first one's rectangle."""
-    aligned: bool = setting(False)
+    union: bool = setting(False, group="Several photographs")
+    """Maps of all that several photographs of one sample show, not only of the first one's
+    rectangle."""
+    aligned: bool = setting(False, group="Output")
     """Also write the maps of the photographed rectangle itself, NAME_photo, with confidence."""
 
     @staticmethod
@@ -266,17 +277,17 @@ class OutputSettings(CheckedSettings):
     """
 
     size: tuple[int, int] = setting((1024, 1024), metavar="WxH", parse=values.size)
-    """Size of the first map set in texels: 2048x1024, or 2K, 4K, 8K."""
+    """Texels of the first map set: 2048x1024, 2K, 4K, 8K."""
     seed: int = 0
     """Seed of the first map set."""
-    tile: bool | None = setting(None, otherwise="if the sides are multiples of 16")
+    tile: bool | None = setting(None, otherwise="if the sides are multiples of 16", group="Output")
     """Make a first map set that repeats without a seam."""
-    png: bool = setting(False)
+    png: bool = setting(False, group="Output")
     """Write 16-bit PNGs in addition to EXR files."""
-    normal: NormalStyle = setting("gl", words=("gl", "dx"))
+    normal: NormalStyle = setting("gl", words=("gl", "dx"), group="Output")
     """Normals with +Y up (gl) or down (dx)."""
     targets: tuple[str, ...] = setting(
-        (), option="export", metavar="TARGET", parse=_known_targets, several=True
+        (), option="export", metavar="TARGET", parse=_known_targets, several=True, group="Output"
     )
     """Also export for this renderer or engine, into a folder of its name; see matcap export.
     Repeatable."""

@@ -32,8 +32,8 @@ _NAMED = (TextColumn("{task.description}", markup=False), BarColumn())
 _PERCENT = TextColumn("{task.percentage:>3.0f} %")
 _STAGE = TextColumn("{task.fields[stage]}")
 _LEFT = TextColumn("{task.fields[left]}", style="dim")
-_EVERY = 10.0  # seconds between lines of a synthesis where there is no terminal
-_SHORT = 2.0  # seconds of rendering for which no bar is shown
+_EVERY = 10.0  # seconds between lines where there is no terminal
+_SHORT = 2.0  # seconds of work for which no bar is shown
 
 
 class _Shown:
@@ -155,22 +155,26 @@ class SynthDisplay(_Shown):
             self._say(f"  {now.fraction:6.1%}  {rate}")
 
 
-class RelightDisplay(_Shown):
-    """Shows the share done and the remaining time of a picture, on a terminal only."""
+class ShareDisplay(_Shown):
+    """Shows the share done, and the time left, of work that takes longer than two seconds."""
 
-    columns = (TextColumn("relighting"), BarColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     transient = True
 
     def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
         super().__init__(console, bars, quiet=quiet)
         self._task = None if bars is None else bars.add_task("", total=1.0, visible=False)
-        self._began = time.monotonic()
+        self._began = self._printed = time.monotonic()
 
-    def progress(self, share: float) -> None:
-        """Show the share done."""
+    def progress(self, share: float, work: str = "relighting") -> None:
+        """Show the share done, in [0, 1], of the work named."""
+        now = time.monotonic()
         if self._bars is not None and self._task is not None:
-            long = time.monotonic() - self._began > _SHORT
-            self._bars.update(self._task, completed=share, visible=long)
+            long = now - self._began > _SHORT
+            self._bars.update(self._task, completed=share, visible=long, description=work)
+        elif not self._quiet and now - self._printed >= _EVERY:
+            self._printed = now
+            self._say(f"  {share:6.1%}  {work}")
 
 
 class BatchDisplay(_Shown):

@@ -131,14 +131,17 @@ def seed(text: str | int) -> int:
     return int(text)
 
 
-def number(least: float, most: float) -> Callable[[str | float], float]:
-    """A parser of numbers in [least, most]."""
+def number(
+    least: float, most: float, kind: type[int] | type[float] = float
+) -> Callable[[str | float], float]:
+    """A parser of numbers, whole ones of kind int, in [least, most]."""
+    wanted = "a whole number" if kind is int else "a number"
 
     def parsed(text: str | float) -> float:
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
-            raise ValueError(f"'{str(text)[:40]}' is not a number") from None
+            raise ValueError(f"'{str(text)[:40]}' is not {wanted}") from None
         if not least <= value <= most:
             raise ValueError(f"'{text}' is not from {least:g} to {most:g}")
         return value
@@ -226,6 +229,8 @@ class SettingRule:
     """Parser of what users type (of the list, if `several`); raises ValueError."""
     several: bool = False
     """Whether the option may be given several times."""
+    group: str = ""
+    """Group of the option in help; "" is the first."""
 
 
 def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401

@@ -71,6 +71,17 @@ def test_every_command_explains_itself(matcap, command):
     assert "Usage: matcap" in said.out
 
 
+def test_help_of_capture_begins_with_everyday_options(matcap):
+    lines = matcap("capture", "--help").out.splitlines()
+    everyday, following = (
+        next(i for i, line in enumerate(lines) if f"─ {name} ─" in line)
+        for name in ("Everyday", "Several photographs")
+    )
+    assert everyday < following < 40 and len(lines) < 150
+    assert any("--out" in line for line in lines[everyday:following])
+    assert not any("<=" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
