@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar
+from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import Rectified
 from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
@@ -224,7 +224,7 @@ def capture_by_decoder(
     photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
 
     def estimated(clock: CaptureClock) -> ExemplarEstimate:  # at the coarse fit's exposure
-        return estimate_exemplar(rectified, load_inverse(), clock, absolute=True)
+        return estimate_exemplar(rectified, load_inverse(), clock, KnownMeans(absolute=True))
 
     estimate = estimated(clock) if settings.draws else None
     with clock.stage("statistics"):

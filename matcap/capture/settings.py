@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from matcap.errors import UsageError
 from matcap.files import settings as values
@@ -60,6 +60,8 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
         ),
     }
 )
+# Settings that take the place of what the photograph says, of one photograph by example.
+_BY_HAND = ("metal", "albedo", "roughness")
 _STEP = 16  # texels: smallest alignment of a material
 _BESIDES = 50_000_000  # bytes: upper bound of material, preview and report
 
@@ -168,6 +170,19 @@ class CaptureSettings(CheckedSettings):
     )
     """Value that is white in files of floating-point numbers (EXR, HDR, TIFF, DNG): light above it
     is measured, and darker exposures of one scene stay comparable."""
+    metal: bool | None = setting(
+        None, off="--dielectric", otherwise="as the photograph shows", group="Advanced"
+    )
+    """The material is metal, or none; by default the more probable, or a mixture of both."""
+    albedo: float | None = setting(
+        None, least=0.005, most=1.0, otherwise="the most probable", group="Advanced"
+    )
+    """Mean albedo (of metal: F0) by another measurement, such as 0.18: a photograph without the
+    strength of its flash does not say it."""
+    roughness: float | None = setting(
+        None, least=0.02, most=1.0, otherwise="the photograph's", group="Advanced"
+    )
+    """Mean roughness by another measurement."""
     width_cm: float | None = setting(None, least=0.01, most=1e5, group="Output")
     """Length of the sample along the photograph's long side, centimetres: exports are true to
     scale."""
@@ -216,8 +231,9 @@ class CaptureSettings(CheckedSettings):
         """All settings by name as JSON values."""
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
-        if self.white is None:
-            del document["white"]
+        for name in ("white", *_BY_HAND):
+            if document[name] is None:
+                del document[name]
         document |= {
             name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
         }
@@ -253,6 +269,8 @@ class InspectSettings(CheckedSettings):
 
     detail: int = setting(DETAIL, least=64, most=8192)
     """Pixels along the long side at which to read the photographs."""
+    details: bool = setting(False)
+    """All checks of each photograph, as of a single one; by default a line for each of several."""
     together: bool | None = setting(None, otherwise="if names are numbered: oak_1, oak_2")
     """All photographs show the same sample: also report what they cover and lack together."""
 
@@ -282,6 +300,9 @@ class OutputSettings(CheckedSettings):
     """Seed of the first map set."""
     tile: bool | None = setting(None, otherwise="if the sides are multiples of 16", group="Output")
     """Make a first map set that repeats without a seam."""
+    maps: Literal["png", "jpg"] | None = setting(None, words=("png", "jpg"))
+    """Also base colour, metallic, roughness, normal, height and ambient occlusion for engines, in
+    the folder `maps`."""
     png: bool = setting(False, group="Output")
     """Write 16-bit PNGs in addition to EXR files."""
     normal: NormalStyle = setting("gl", words=("gl", "dx"), group="Output")
@@ -311,10 +332,10 @@ class OutputSettings(CheckedSettings):
         from matcap.brdf.folder import mapset_bytes
 
         room = mapset_bytes(*self.size, png=self.png) + _BESIDES
-        if self.targets:
+        if self.targets or self.maps:
             from matcap.export.targets import export_bytes
 
-            room += len(self.targets) * export_bytes(*self.size)
+            room += (len(self.targets) + bool(self.maps)) * export_bytes(*self.size)
         return room
 
 
@@ -341,13 +362,19 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
     """Check settings against the number of photographs of a sample.
 
     Raises:
-        UsageError: `union` is set for one photograph, or the decoder for several.
+        UsageError: `union` is set for one photograph, or the decoder for several; a property is
+            given by hand for several, or for a decoder.
     """
     if settings.generator == "decoder" and photographs > 1:
         raise UsageError.at(
             "--generator decoder",
             "the decoder is fine-tuned to one photograph",
             "give one, or leave it out",
+        )
+    given = [name for name in _BY_HAND if getattr(settings, name) is not None]
+    if given and (photographs > 1 or (settings.generator == "decoder" and given != ["metal"])):
+        raise UsageError.at(
+            f"--{given[-1]}", "this is of one photograph, by example", "leave it out"
         )
     if settings.union and photographs < 2:
         raise UsageError.at(

@@ -192,7 +192,8 @@ def _parameter(one: Setting) -> inspect.Parameter:
     elif math.isfinite(rule.least):
         kind, more = Any, {"parser": typed(number(rule.least, rule.most, one.kind))}
         metavar = metavar or _range(rule.least, rule.most)
-    flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag
+    off = rule.off or f"--no-{one.flag[2:]}"
+    flag = f"{one.flag}/{off}" if kind is bool else one.flag
     names = [flag, *([rule.short] if rule.short else [])]
     option: Any = typer.Option
     shown = rule.otherwise or default is not None

@@ -55,6 +55,7 @@ from matcap.export.job import (
 )
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
+from matcap.export.occlusion import Container
 from matcap.export.presets import Preset, pack
 from matcap.export.shading import (
     Residual,
@@ -143,11 +144,24 @@ def check_targets(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(known(name, TARGETS, "--export") for name in names))
 
 
-def export_mapset(folder: Path, target: str) -> Exported:
-    """Export the map set of a folder into a subfolder with the target's name.
+def engine_maps(container: Container) -> ExportOptions:
+    """Options of `substance` for the textures that every engine reads: base colour, metallic,
+    roughness, normal, height and ambient occlusion.
+    """
+    maps = ("base", "mask", "roughness", "normal", "height", "occlusion")
+    return ExportOptions(maps=maps, container=container)
+
+
+def export_mapset(
+    folder: Path, target: str, options: ExportOptions | None = None, name: str = ""
+) -> Exported:
+    """Export the map set of a folder into a subfolder.
 
     Args:
         folder: holds one map set, or is its JSON document.
+        target: of the export.
+        options: of the export.
+        name: of the subfolder; "" is the target's.
 
     Raises:
         UsageError: no such target.
@@ -162,7 +176,7 @@ def export_mapset(folder: Path, target: str) -> Exported:
     job = ExportJob(
         opened.maps, opened.name, millimetres, provenance=opened.provenance, reach=reach
     )
-    return write_export(job, target, place / target, overwrite=True)
+    return write_export(job, target, place / (name or target), options, overwrite=True)
 
 
 def export_bytes(width: int, height: int) -> int:

@@ -229,6 +229,8 @@ class SettingRule:
     """Parser of what users type (of the list, if `several`); raises ValueError."""
     several: bool = False
     """Whether the option may be given several times."""
+    off: str = ""
+    """Option that switches a flag off; "" is --no- and its name."""
     group: str = ""
     """Group of the option in help; "" is the first."""
 
