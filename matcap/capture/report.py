@@ -80,7 +80,7 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     if settings.targets or settings.maps:
         from matcap.export.targets import engine_maps, export_mapset
     if settings.maps:
-        options = engine_maps(settings.maps)
+        options = engine_maps(settings.maps, settings.normal)
         export_mapset(folder / f"{name}.json", "substance", options, "maps")
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)

@@ -55,7 +55,7 @@ from matcap.export.job import (
 )
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
-from matcap.export.occlusion import Container
+from matcap.export.occlusion import Container, NormalMaps
 from matcap.export.presets import Preset, pack
 from matcap.export.shading import (
     Residual,
@@ -144,12 +144,12 @@ def check_targets(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(known(name, TARGETS, "--export") for name in names))
 
 
-def engine_maps(container: Container) -> ExportOptions:
+def engine_maps(container: Container, normal: NormalMaps) -> ExportOptions:
     """Options of `substance` for the textures that every engine reads: base colour, metallic,
     roughness, normal, height and ambient occlusion.
     """
     maps = ("base", "mask", "roughness", "normal", "height", "occlusion")
-    return ExportOptions(maps=maps, container=container)
+    return ExportOptions(maps=maps, container=container, normal=normal)
 
 
 def export_mapset(
@@ -174,7 +174,12 @@ def export_mapset(
     millimetres = known_scale(opened.provenance)
     reach = material_reach(folder, opened.name)
     job = ExportJob(
-        opened.maps, opened.name, millimetres, provenance=opened.provenance, reach=reach
+        opened.maps,
+        opened.name,
+        millimetres,
+        provenance=opened.provenance,
+        container=options.container if options else None,
+        reach=reach,
     )
     return write_export(job, target, place / (name or target), options, overwrite=True)
 

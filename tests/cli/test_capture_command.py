@@ -63,6 +63,40 @@ def test_options_reach_the_pipeline(matcap, pipeline, photo, out):
     assert (asked.detail, asked.fov, asked.seed, asked.prior) == (512, 60.0, 3, "none")
 
 
+def test_properties_known_by_hand_reach_the_pipeline_and_the_report(matcap, pipeline, photo, out):
+    said = matcap(
+        "capture", photo, "-o", out, "--dielectric", "--albedo", "0.18", "--roughness", "0.4"
+    )  # fmt: skip
+    assert said.code == 0
+    settings = pipeline.calls[-1].settings
+    assert (settings.metal, settings.albedo, settings.roughness) == (False, 0.18, 0.4)
+    report = json.loads((out / "leather" / "report.json").read_text())
+    assert report["settings"]["metal"] is False and report["settings"]["albedo"] == 0.18
+    assert "metal" not in CaptureSettings().named()
+
+
+def test_properties_by_hand_are_of_one_photograph(matcap, pipeline, photo, out):
+    other = photo.with_name("other.dng")
+    other.write_text("a photograph")
+    said = matcap("capture", photo, other, "--together", "-o", out, "--albedo", "0.18")
+    assert said.code == 2 and "--albedo: this is of one photograph" in said.err
+    assert matcap("capture", photo, "-o", out, "--albedo", "3").code == 2
+
+
+@pytest.mark.parametrize("form", ["png", "jpg"])
+def test_maps_for_engines_stand_in_a_folder(matcap, pipeline, photo, out, form):
+    assert matcap("capture", photo, "-o", out, "--size", "32", "--maps", form).code == 0
+    files = {path.name for path in (out / "leather" / "maps").iterdir()}
+    kinds = ("basecolor", "metallic", "roughness", "ambientocclusion")
+    assert {f"leather_{kind}.{form}" for kind in kinds} <= files
+    assert "leather_height.png" in files and any("normal_gl" in name for name in files)
+
+
+def test_a_time_limit_below_the_shortest_capture_is_said_at_once(matcap, pipeline, photo, out):
+    said = matcap("capture", photo, "-o", out, "--time", "5s")
+    assert said.code == 0 and "the shortest capture takes about 10 s" in said.err.splitlines()[0]
+
+
 def test_pngs_and_directx_normals(matcap, pipeline, photo, out):
     assert matcap("capture", photo, "-o", out, "--size", 16, "--png", "--normal", "dx").code == 0
     assert set(mapset_files("leather")) <= {f.name for f in (out / "leather").iterdir()}

@@ -184,6 +184,17 @@ def _reasons(seen: Measurements, more: str) -> Iterator[_Reason]:
         "light from one place shows little of the relief across its direction", more,
         _IN_TEXTURE | {"glint_contrast", "highlight_residue"},
     )  # fmt: skip
+    error, limit = seen.exemplar.error, CHECKS["exemplar"].limits[0]
+    yield _Reason(
+        float(error <= limit), "maps of the photographed rectangle fit it, rearranged ones less",
+        "synthesise with a lower --variety, or make that rectangle repeat (synth --tile piece)",
+        _IN_TEXTURE - {"exemplar", "confidence"},
+    )  # fmt: skip
+    yield _Reason(
+        error / limit if error > limit else 0.0,
+        "light from one place does not tell all of relief and gloss from colour", more,
+        _IN_TEXTURE | {"glint_contrast", "highlight_residue"},
+    )  # fmt: skip
     developed = "radiometric" in photograph and photograph["radiometric"].rating is not Rating.GOOD
     yield _Reason(
         float(developed),

@@ -317,11 +317,8 @@ def test_a_curve_bends_no_raw():
 
 def test_where_the_photograph_shows_no_cause_none_is_named():
     sentence = judge(replace(FINE, light=0.5)).sentence()
-    assert (
-        "one photograph leaves open" in sentence
-        and "room" not in sentence
-        and "curve" not in sentence
-    )
+    assert "one photograph leaves open" in sentence
+    assert "room" not in sentence and "curve" not in sentence
 
 
 def test_lines_that_break_or_appear_are_told_by_what_they_are():
