@@ -22,7 +22,16 @@ from matcap.capture import report as outputs
 from matcap.capture.report import report as report_report
 from matcap.capture.report import warnings, write_report
 from matcap.capture.result import Tuning
-from matcap.capture.settings import DECODER_STAGES, EXEMPLAR_STAGES, CaptureClock, CaptureSettings
+from matcap.capture.settings import (
+    DECODER_STAGES,
+    DRAWING_STAGES,
+    EXEMPLAR_STAGES,
+    MULTIVIEW_STAGES,
+    SHOWN_STAGES,
+    CaptureClock,
+    CaptureSettings,
+)
+from matcap.cli.display import ShareDisplay
 from matcap.errors import UsageError
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup
@@ -120,7 +129,7 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     tuning = report["tuning"]
     assert tuning["error"] == 0.5 and tuning["relative_error"] == 2.0
     assert report["error"] == {"exemplar": None, "field": None}  # too small a picture
-    assert "flash did not fire" in report["verdict"]["sentence"]
+    assert "one plain colour" in report["verdict"]["sentence"]
     assert tuning["error_over_time"][0] == {"seconds": 0.5, "step": 1, "error": 0.9}
     assert report["stage_seconds"] == {"coarse fit": 0.5, "fine-tuning": 0.5}
     assert report["camera"]["tilt_degrees"] == [0.0, 0.0]
@@ -133,7 +142,7 @@ def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
 ):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
-    assert "failed: the photograph's middle is 1.0 times as bright as its border" in said.err
+    assert "failed: the picture is one plain colour, without any texture" in said.err
     assert "error" not in said.err
     again = ("--size", 16, "--strict", "--overwrite")
     assert matcap("capture", photo, "-o", out, *again).code == 3
@@ -151,9 +160,26 @@ def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
 
 def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16)
-    assert "index" in said.err
+    assert "preparing the texture" in said.err
     assert "\x1b" not in said.err
     assert len(said.err.splitlines()) == 4  # two stages, what was made, the verdict
+
+
+def test_every_stage_is_shown_in_words(matcap, pipeline, photo, out):
+    for stages in (EXEMPLAR_STAGES, MULTIVIEW_STAGES, DECODER_STAGES, DRAWING_STAGES):
+        assert set(stages) <= set(SHOWN_STAGES)
+    said = matcap("capture", photo, "-o", out)
+    assert "preparing the texture" in said.err and "index" not in said.err
+
+
+def test_long_work_is_shown_by_lines_where_there_is_no_terminal(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr("matcap.cli.display.time.monotonic", lambda: now[0])
+    with ShareDisplay.open(quiet=False) as shown:
+        shown.progress(0.1, "blending")
+        now[0] = 11.0
+        shown.progress(0.4, "blending")
+    assert capsys.readouterr().err.split() == ["40.0%", "blending"]
 
 
 def test_what_was_noticed_when_reading_is_said(matcap, pipeline, photo, out):
