@@ -232,7 +232,7 @@ def _border(photo: Photo) -> tuple[Finding, ...]:
 
 def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
     x, y = _upright(photo, *place)
-    says = f"{_whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above"
+    says = f"{whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above"
     finding = CHECKS["hot_spot"].finding(min(x, 1.0 - x, y, 1.0 - y), where=says)
     return replace(finding, value=[round(x, 4), round(y, 4)])
 
@@ -261,7 +261,7 @@ def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
     tiles = unevenness(photo.pixels, place)
     rows, columns = tiles.shape
     row, column = divmod(int(tiles.argmax()), columns)
-    where = _whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
+    where = whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
     finding = CHECKS["stationarity"].finding(float(np.sqrt(np.mean(tiles**2))), where=where)
     tile = (column / columns, row / rows, 1.0 / columns, 1.0 / rows)
     return replace(finding, where=upright_region(photo, tile))
@@ -319,7 +319,7 @@ def upright_region(photo: Photo, region: Region) -> Region:
     return (1.0 - top - height, left, height, width) if photo.turned else region
 
 
-def _whereabouts(x: float, y: float) -> str:
+def whereabouts(x: float, y: float) -> str:
     """A position in shares from the upper left, as text."""
     across = "left" if x < 1 / 3 else "right" if x > 2 / 3 else ""
     down = "upper" if y < 1 / 3 else "lower" if y > 2 / 3 else ""

@@ -142,7 +142,10 @@ def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
 ):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
-    assert "failed: the picture is one plain colour, without any texture" in said.err
+    assert (
+        "failed: nothing to capture: the picture is one plain colour, without any texture"
+        in said.err
+    )
     assert "error" not in said.err
     again = ("--size", 16, "--strict", "--overwrite")
     assert matcap("capture", photo, "-o", out, *again).code == 3

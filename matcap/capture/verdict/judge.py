@@ -11,6 +11,7 @@ from matcap.capture.verdict.causes import UNSEEN, ExemplarMeasurements, causes
 from matcap.capture.verdict.measurements import Measurements
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, RESIDUES, Cause, Finding, Rating
+from matcap.photo.inspect import whereabouts
 
 NORM = 6.0
 """Exponent p of the severity (sum s^p)^(1/p): near the largest s, and a little above it for several
@@ -84,7 +85,12 @@ class CaptureVerdict:
         if self.rating is Rating.GOOD:
             return f"{self.rating.value}: looks like the photograph{note}"
         cause, remedy = self.cause()
-        return f"{self.rating.value}: {self.worst.says}{note}. Why: {cause}. What helps: {remedy}."
+        worst, place = self.worst, ""
+        if worst.where is not None and worst.name in _IN_TEXTURE:
+            left, top, width, height = worst.where
+            place = f", most of all {whereabouts(left + width / 2.0, top + height / 2.0)}"
+        seen = f"{self.rating.value}: {worst.appearance}: {worst.says}{place}{note}"
+        return f"{seen}. Why: {cause}. What helps: {remedy}."
 
     def cause(self) -> tuple[str, str]:
         """Clauses on the cause of the largest difference, and on what will help."""

@@ -143,6 +143,8 @@ def test_where_it_differs_is_marked():
     region = (0.1, 0.2, 0.125, 0.125)
     verdict = judge(replace(FINE, texture=2.0, regions={"texture": region}))
     assert verdict.worst.where == region
+    assert verdict.sentence().startswith("doubtful: another texture: ")
+    assert "most of all at the upper left" in verdict.sentence()
     assert verdict.document()["checks"]["texture"]["where"] == [0.1, 0.2, 0.125, 0.125]
 
 
