@@ -171,7 +171,7 @@ def judge_material(
         verdict=verdict,
         stage_seconds=clock.seconds,
         settings=settings,
-        interrupted=interrupted or stopped(),
+        interrupted=interrupted or bool(stopped()),
         estimate=estimate,
         tuning=tuning,
     )

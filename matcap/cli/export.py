@@ -81,7 +81,7 @@ def export(
     )
 
     if to is None:
-        raise UsageError.at("matcap export", "there is no target", "give one with --to")
+        raise UsageError.at("--to", "there is no target", f"choose from {', '.join(TARGETS)}")
     target = known(to, TARGETS, "--to")
     options = chosen(ExportOptions, written)
     if target in DOCUMENTS:

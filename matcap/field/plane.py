@@ -39,9 +39,12 @@ def check_period(period: Period | None, alignment: int) -> Period | None:
     """Return the period; raise UsageError unless each is a positive multiple of the alignment."""
     for length in period or ():
         if length is not None and (length <= 0 or length % alignment):
+            less, more = length // alignment * alignment, -(-length // alignment) * alignment
+            fits = f"{less} or {more}" if less > 0 else f"{max(more, alignment)}"
             raise UsageError(
-                f"the period {length} is not a positive multiple of {alignment}",
-                remedy=f"round it to a multiple of {alignment}",
+                f"a side of {length} texels cannot repeat: this material needs multiples of "
+                f"{alignment}",
+                remedy=f"give {fits}",
             )
     return period
 

@@ -30,11 +30,11 @@ class RelightOptions(CheckedSettings):
     light: Sequence[str] = setting(
         (), several=True, metavar="NAME|x,y,z[,intensity]", otherwise="top"
     )
-    """A named light (flash, top, left), or the place of a point light. Of what was photographed,
-    flash is the photograph's own: its camera, exposure and vignetting. Given several times, the
-    lights add up."""
+    """A named light (flash, top, left, right, bottom), or the place of a point light. Of what was
+    photographed, flash is the photograph's own: its camera, exposure and vignetting. Given several
+    times, the lights add up."""
     scene: str | None = setting(None, metavar="FILE|NAME")
-    """A scene file (.toml), or flash, top, left, studio, sunset or turntable."""
+    """A scene file (.toml), the name of a light, studio, sunset or turntable."""
     size: Size | None = setting(None, metavar="WxH", parse=values.sides(_LARGEST))
     """Pixels of the picture, at most 32768 a side; by default the scene's, or one a texel of a map
     set."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.settings import BRIGHTEST
+from matcap.files.settings import BRIGHTEST, nearest
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float]
@@ -178,6 +178,8 @@ NAMED_LIGHTS: dict[str, Vector] = {
     "flash": Camera().position,
     "top": (0.0, 2.0, 1.2),
     "left": (-2.0, 0.0, 1.2),
+    "right": (2.0, 0.0, 1.2),
+    "bottom": (0.0, -2.0, 1.2),
 }
 
 
@@ -195,7 +197,7 @@ def scene_from_light(text: str) -> Scene:
     """A scene with the maps' own extent, from straight above, under one point light.
 
     Args:
-        text: a named light (flash, top, left), or "x,y,z" or "x,y,z,intensity" in plane units;
+        text: a key of NAMED_LIGHTS, or "x,y,z" or "x,y,z,intensity" in plane units;
             the default intensity is exposing_intensity.
 
     Raises:
@@ -215,7 +217,7 @@ _FARTHEST, _STRONGEST = 1e4, 1e9
 
 
 def _parse_light(text: str) -> tuple[Vector, float]:
-    remedy = f"give {', '.join(NAMED_LIGHTS)} or x,y,z[,intensity] such as -1,1,2"
+    remedy = nearest(text, NAMED_LIGHTS, "or x,y,z[,intensity] such as -1,1,2")
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -82,7 +82,7 @@ def test_a_field_repeats_exactly_where_it_is_asked_to(example, period):
 
 
 def test_periods_and_seeds_out_of_range_are_refused():
-    with pytest.raises(UsageError, match="multiple of"):
+    with pytest.raises(UsageError, match="multiples of"):
         an_example().source(0, (an_example().alignment + 1, None))
     with pytest.raises(UsageError, match="seed"):
         an_example().source(2**63)

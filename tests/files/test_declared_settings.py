@@ -105,6 +105,7 @@ def test_python_and_the_command_line_refuse_alike(capsys):
 
 def test_the_nearest_word_or_all_there_are():
     assert nearest("prest", ["preset", "steps"]) == "did you mean 'preset'"
+    assert nearest("unity", ["raw", "unity-hdrp", "unity-urp"]) == "did you mean 'unity-hdrp'"
     assert nearest("qqqq", ["preset", "steps"]) == "choose from preset, steps"
 
 
