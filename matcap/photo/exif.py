@@ -13,7 +13,8 @@ from typing import Any, BinaryIO, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.stated_color import jpeg_segments, png_chunks, riff_chunks
+from matcap.files.jpeg import jpeg_segments
+from matcap.files.stated_color import png_chunks, riff_chunks
 
 # Rotates pictures from portrait to landscape; files/pixels.py: by EXIF orientation.
 
