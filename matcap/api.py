@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import MAKER_VERSION as __version__
 from matcap.files.names import shown
-from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
     from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
     from matcap.brdf.maps import MapSet
+    from matcap.field.field import Field
     from matcap.field.material import Material
-    from matcap.field.source import Field
     from matcap.photo.load import load_photo
     from matcap.relight.render import MapSource
     from matcap.relight.scene import Scene
 
 # Modules of the names that are imported when first used.
 _HOMES = {
-    "Field": "matcap.field.source",
+    "Field": "matcap.field.field",
     "MapSet": "matcap.brdf.maps",
     "MapSetInfo": "matcap.brdf.folder",
     "Material": "matcap.field.material",

@@ -14,13 +14,13 @@ from pathlib import Path
 import torch
 from materials import SMALL, a_material
 
+from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import (
     BLOCK,
     BLOCK_HEIGHT,
     Rectangle,
 )
-from matcap.field.source import Field
 from matcap.space.decoder import (
     DEPTH,
     maps_from_raw,

@@ -33,7 +33,7 @@ from matcap.capture.settings import resolve
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import Progress
 from matcap.files.output import check_writable
-from matcap.files.process import free_bytes
+from matcap.files.process import free_bytes, postponed
 from matcap.files.settings import spoken_duration
 from matcap.photo.calibrate import Calibration, card_sentence, read_card
 from matcap.photo.checks import Rating
@@ -111,15 +111,30 @@ class Batch:
     def go(self) -> None:
         """Process all samples until each is made, kept, failed or left.
 
+        The first Ctrl-C lets running captures finish and starts no other; the second ends them.
+
         Raises:
-            KeyboardInterrupt: re-raised after the workers are stopped and the index is written.
+            KeyboardInterrupt: after either, once the workers are stopped and the index is written.
         """
+        with postponed() as signals:
+            self._work_off(signals)
+        if signals():
+            raise KeyboardInterrupt
+
+    def _work_off(self, signals: Callable[[], int]) -> None:
         try:
             while self._waiting or self._alone or self._workers.busy():
                 if self._stop:
                     self._waiting.clear()
                     self._alone.clear()
                 self._fill()
+                if signals() > 1:
+                    raise KeyboardInterrupt
+                if signals() and not self._stop:
+                    self._stop, running = "interrupted", self._workers.busy()
+                    self._show.note(
+                        f"Interrupted: {running} running will finish. Ctrl-C again ends at once."
+                    )
                 for event in self._workers.wait(_POLL) if self._workers.busy() else ():
                     self._happened(event)
                 if time.monotonic() - self._paged > _PAGE_EVERY:

@@ -14,8 +14,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from matcap.capture.bracket import find_brackets
-from matcap.capture.report import files_written
 from matcap.capture.settings import CaptureSettings, OutputSettings, Statistics, prior_file
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import MAKER_VERSION, series, usable_name
@@ -28,8 +26,6 @@ from matcap.files.settings import (
     settings_in,
     typed_settings,
 )
-from matcap.photo.exif import exif_tags
-from matcap.photo.load import RAW_SUFFIXES
 
 # The photographs of an input folder, grouped by sample.
 
@@ -38,7 +34,6 @@ Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
 Brackets = Callable[[Sequence[Path]], list[tuple[Path, ...]]]
 
-_RAW = {".dng", *RAW_SUFFIXES}
 # That cameras write with a RAW; .jfif and .jpe are JPEGs as browsers save them.
 _CAMERA = (".jpg", ".jpeg", ".jpe", ".jfif", ".heic", ".heif", ".hif", ".avif")
 _OTHER = (".png", ".tif", ".tiff", ".webp", ".exr", ".hdr")
@@ -77,7 +72,7 @@ def find_samples(
     gap: float = 10.0,
     without: Iterable[Path] = (),
     taken: Taken | None = None,
-    brackets: Brackets = find_brackets,
+    brackets: Brackets | None = None,
 ) -> list[ShotSample]:
     """List the samples of an input folder, sorted by folder and name.
 
@@ -101,6 +96,11 @@ def find_samples(
     if not source.is_dir():
         what = "this is a file" if source.is_file() else "there is no such folder"
         raise MatcapError.at(source, what, "give a folder of photographs")
+    # Importing these takes long, and the command line imports this file at its start.
+    from matcap.capture.bracket import find_brackets
+    from matcap.capture.report import files_written
+
+    brackets = brackets or find_brackets
     passed_over = {path.resolve() for path in without}
     grouped: list[tuple[Path, ShotSample]] = []
     for folder, names in _folders(source, passed_over):
@@ -141,6 +141,8 @@ def find_samples(
 def taken_at(path: Path) -> float | None:
     """Time at which a photograph was taken, in seconds, from its Exif; None if it has none."""
     try:
+        from matcap.photo.exif import exif_tags
+
         with path.open("rb") as file, quiet_decoders():
             text = str(exif_tags(file)["EXIF DateTimeOriginal"].values)
         return datetime.strptime(text, "%Y:%m:%d %H:%M:%S").timestamp()
@@ -176,15 +178,17 @@ def _folders(source: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[
 
 def _pairs(files: Sequence[Path]) -> list[_Shot]:
     """The photographs among the files of a folder; a RAW supersedes the JPEGs of its shot."""
+    from matcap.photo.kind import RAW_SUFFIXES
 
     def kind(path: Path) -> str:
         return path.suffix.lower()
 
-    raws = {_shot_of(path): path for path in files if kind(path) in _RAW}
+    raw_suffixes = {".dng", *RAW_SUFFIXES}
+    raws = {_shot_of(path): path for path in files if kind(path) in raw_suffixes}
     shots: list[_Shot] = []
     for path in files:
         raw = raws.get(_shot_of(path))
-        if kind(path) in _RAW:
+        if kind(path) in raw_suffixes:
             superseded = [
                 other
                 for other in files

@@ -44,12 +44,12 @@ from numpy.typing import NDArray
 from matcap.brdf.edited import (
     COLOURS,
     as_saved,
+    check_heights,
     in_rec709,
     note_other_normals,
     painted_normals,
     seam_ratio,
 )
-from matcap.brdf.maps import check_heights
 from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_picture

@@ -8,13 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import torch
 import torch.nn.functional as F
-from numpy.typing import NDArray
 from torch import Tensor
-
-from matcap.errors import MatcapError
 
 # Normals of a height field by central differences.
 
@@ -87,28 +83,6 @@ def _one_sided_at_borders(field: Tensor, dim: int) -> Tensor:
     first = field.narrow(dim, 1, 1) - field.narrow(dim, 0, 1)
     last = field.narrow(dim, size - 1, 1) - field.narrow(dim, size - 2, 1)
     return torch.cat([first, inner, last], dim=dim)
-
-
-# Validation of height maps.
-
-
-# Plane units. Squares of the slopes of such heights do not overflow single precision.
-TALLEST = 1e6
-
-
-def check_heights(height: NDArray[np.floating], where: str = "") -> None:
-    """Refuse heights above TALLEST, in plane units; NaN and infinity are checked elsewhere.
-
-    Raises:
-        MatcapError: naming `where`.
-    """
-    most = float(np.abs(height).max(initial=0.0))
-    if TALLEST < most < float("inf"):
-        raise MatcapError.at(
-            where,
-            f"its height reaches {most:.2g} plane units, which no surface does",
-            "make the material again",
-        )
 
 
 # MapSet: SVBRDF maps (diffuse albedo, F0, roughness, height) of a rectangle of material.

@@ -81,8 +81,8 @@ def find_brackets(paths: Sequence[Path], *, fov: float | None = None) -> list[tu
     Only neighbours in the order given are compared. Files that cannot be read are on their own.
     """
     groups: list[list[int]] = []
-    stated = [_stated(path) for path in paths] if len(paths) > 1 else []
     with quiet_decoders():
+        stated = [_stated(path) for path in paths] if len(paths) > 1 else []
         for number in range(len(paths)):
             group = groups[-1] if groups else []
             if (

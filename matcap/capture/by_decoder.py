@@ -15,11 +15,12 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar
+from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.method import FEATURES, WINDOW, Method
 from matcap.capture.rectified import Rectified
 from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
-from matcap.capture.settings import FEATURES, WINDOW, CaptureClock, CaptureSettings, Effort, Method
+from matcap.capture.settings import CaptureClock, CaptureSettings, Effort
 from matcap.errors import MatcapError
 from matcap.field.material import Material
 from matcap.files.color import srgb_encode_tensor
@@ -125,7 +126,7 @@ def _read(path: Path) -> dict[str, Tensor]:
         with path.open("rb") as file:
             digits = hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, SafetensorError) as error:
-        raise MatcapError.at(path, f"the weights cannot be read ({error})", _REMEDY) from error
+        raise MatcapError.at(path, "the weights cannot be read", _REMEDY) from error
     if not digits.startswith(_DIGITS):
         raise MatcapError.at(
             path,
@@ -224,7 +225,7 @@ def capture_by_decoder(
     photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
 
     def estimated(clock: CaptureClock) -> ExemplarEstimate:  # at the coarse fit's exposure
-        return estimate_exemplar(rectified, load_inverse(), clock, absolute=True)
+        return estimate_exemplar(rectified, load_inverse(), clock, KnownMeans(absolute=True))
 
     estimate = estimated(clock) if settings.draws else None
     with clock.stage("statistics"):
@@ -247,12 +248,12 @@ def capture_by_decoder(
     if tuned.history and effort.matched:
         with clock.stage("matching"), postponed() as stopped:
             material = match_photograph(material, plane, settings.seed)
-        clock.interrupted |= stopped()
+        clock.interrupted |= bool(stopped())
 
     if estimate is None and settings.aligned:
         with postponed() as stopped:
             estimate = estimated(CaptureClock(None))
-        clock.interrupted |= stopped()
+        clock.interrupted |= bool(stopped())
     went = Tuning(tuned.history, window_distance, drawing is not None)
     if photo.turned:  # all above is in landscape format
         material = _upright(material)

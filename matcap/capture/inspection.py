@@ -34,6 +34,7 @@ from matcap.photo.photo import FULL, Photo
 # Inspection of a photograph before capture: its quality, highlight, relief and tilt.
 
 
+_MOSTLY = 0.25  # clipped share of a highlight from which its strength is not measured
 _FEWEST, _MOST = 2, 6  # stops by which another exposure is darker
 
 
@@ -107,8 +108,9 @@ def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
     contrast = profile.contrast[0]
     bound = f", or more: {profile.clipped[0]:.0%} of the highlight is clipped"
     highlight = CHECKS["highlight"].finding(contrast, bound=bound if profile.bound else "")
-    if profile.bound:
-        highlight = replace(highlight, remedy=_darker(coarse, limit))
+    if profile.bound:  # what limits a capture limits the photograph
+        rating = Rating.USABLE if profile.clipped[0] > _MOSTLY else highlight.rating
+        highlight = replace(highlight, remedy=_darker(coarse, limit), rating=rating)
     findings = [replace(highlight, value=round(contrast, 3))]
     if profile.glints:
         deviation = math.hypot(*(before for before, _ in profile.glints))

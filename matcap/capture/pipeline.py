@@ -12,8 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from matcap.capture.bracket import find_brackets, merge_bracket
-from matcap.capture.exemplar.estimate import estimate_exemplar
+from matcap.capture.exemplar.estimate import KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
+from matcap.capture.method import Method
 from matcap.capture.rectified import Rectified, fit_photograph
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.report import write_outputs
@@ -27,7 +28,6 @@ from matcap.capture.settings import (
     CaptureClock,
     CaptureProgress,
     CaptureSettings,
-    Method,
     OutputSettings,
     check_photographs,
     resolve,
@@ -106,7 +106,7 @@ def capture_into(
     result = _captured(groups, settings, clock)
     with clock.stage("write"), postponed() as stopped:
         write_outputs(result, folder, outputs)
-    return replace(result, interrupted=result.interrupted or stopped())
+    return replace(result, interrupted=result.interrupted or bool(stopped()))
 
 
 def capture_file(
@@ -192,9 +192,8 @@ def capture_photo(
     else:
         rectified = _rectified(photo, settings, method, clock)
         absolute = photo.flash_intensity is not None
-        estimate = estimate_exemplar(
-            rectified, load_inverse(), clock, absolute=absolute, turned=photo.turned
-        )
+        known = KnownMeans(settings.albedo, settings.roughness, absolute=absolute)
+        estimate = estimate_exemplar(rectified, load_inverse(), clock, known, turned=photo.turned)
     several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
         name=photo.stem,
@@ -229,7 +228,7 @@ def _rectified(
     """
     with clock.stage("coarse fit"):
         photo = limit_sparkles(photo)
-        coarse = fit_photograph(photo, measured=method.measured_tilt)
+        coarse = fit_photograph(photo, measured=method.measured_tilt, metal=settings.metal)
         photo = photo.linearised(coarse.tone)
         rectified = Rectified.of(photo, coarse, settings.detail_of(max(photo.pixels.shape)))
         width, height = rectified.network_input.size

@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from matcap.capture.rectified import tilt_line
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
-from matcap.photo.checks import Rating
-from matcap.photo.exif import standing
+from matcap.photo.checks import Rating, Region
+from matcap.photo.orient import standing
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -48,6 +47,7 @@ _RATED = {
 # Position of the light, plane units: to the left of the sample, and above; grazing, to show relief.
 _LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 # Narrowest displayed range of a map: a flat map would show its rounding noise.
+_CONSTANT = 0.05  # share of that range below which a map is constant, and shown as a number
 _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
 
 
@@ -64,6 +64,8 @@ class Panel:
     """The crop at one pixel per texel, where `values` have fewer."""
     hidden: NDArray[np.bool_] | None = None
     """(H, W) of every texel: what the photograph does not show, which is hatched."""
+    marked: Region | None = None
+    """Region that the verdict is about."""
 
     def resized(self, size: tuple[int, int]) -> Image.Image:
         """The whole picture at a size of (width, height) pixels."""
@@ -165,10 +167,13 @@ def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
 
 
 def _headline(result: CaptureResult, width: int) -> Image.Image:
-    """Banner of a width in pixels: the verdict, and the tilt with its sources."""
-    verdict, sources = result.verdict, result.tilt_sources
+    """Banner of a width in pixels: the verdict, and the exposure of the pictures."""
+    verdict, exposure = result.verdict, result.photo.exposure
     lines = textwrap.wrap(f"Verdict: {verdict.sentence()}", _VERDICT_WIDTH)
-    below = textwrap.wrap(tilt_line(sources), _VERDICT_WIDTH) if sources else []
+    shown = "Pictures are at the photograph's exposure; those under other lights, at its mean."
+    if exposure is not None:
+        shown += f" The photograph's: time x ISO / f-number^2 = {exposure:.3g}."
+    below = textwrap.wrap(shown, _VERDICT_WIDTH)
     line = Image.new("RGB", (width, 20 + 28 * (len(lines) + len(below))), _PAPER)
     draw, font = ImageDraw.Draw(line), ImageFont.load_default(size=20)
     ink = _RATED[verdict.rating]
@@ -180,8 +185,10 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Panels of a material, over a rectangle as large as the photograph."""
-    yield replace(_developed("photograph", result, result.rectified), hidden=_hidden(result))
-    yield _developed("re-rendered", result, result.rerendered)
+    marked = None if result.verdict.rating is Rating.GOOD else result.verdict.worst.where
+    photograph = _developed("photograph", result, result.rectified)
+    yield replace(photograph, hidden=_hidden(result), marked=marked)
+    yield replace(_developed("re-rendered", result, result.rerendered), marked=marked)
     yield relit("top", result.maps, result.rerendered, result.material.setup)
     yield from each_map(result.maps)
     yield Panel("normal", _picture(result.maps, "normal"), lambda some: 0.5 + 0.5 * some)
@@ -233,6 +240,11 @@ def block(shown: Sequence[Panel]) -> Image.Image:
         x, y = _GAP + column * (_PANEL + _GAP), row * pitch
         draw.text((x, y + 5), panel.label, fill=_INK, font=font)
         sheet.paste(panel.resized((_PANEL, panel_height)), (x, y + _LABEL))
+        if panel.marked is not None:
+            left, top, wide, high = panel.marked
+            ends = ((max(left, 0.0), max(top, 0.0)), (min(left + wide, 1.0), min(top + high, 1.0)))
+            box = [(x + u * _PANEL, y + _LABEL + v * panel_height) for u, v in ends]
+            draw.rectangle(box, outline=_RATED[Rating.DOUBTFUL], width=3)
     for index, panel in enumerate(shown):
         x, y = _GAP + index * (_CROP + _GAP), panels_height
         draw.text((x, y + 5), f"{panel.label.split(':')[0]}, 1:1", fill=_INK, font=font)
@@ -334,6 +346,9 @@ def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
     some = slice(None, None, max(1, values.shape[1] // _LIT))
     low, high = (float(v) for v in np.quantile(values[some, some], (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
+    if high - low < _CONSTANT * _LEAST_SPAN[kind]:
+        label = f"{kind}: {(low + high) / 2:.3g} everywhere"
+        return Panel(label, np.full_like(values[..., 0], _PAPER[0] / 255.0), lambda some: some)
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
     low, high = low - short / 2, high + short / 2
     return Panel(label, values[..., 0], lambda some: (some - low) / (high - low))

@@ -33,7 +33,7 @@ from matcap.statistics.lattice import Wave, find_lattice
 
 
 @one_thread()
-def fit_photograph(photo: Photo, *, measured: bool = True) -> CoarseFit:
+def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = None) -> CoarseFit:
     """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.
 
     Albedo is absolute where the flash intensity is known.
@@ -41,12 +41,14 @@ def fit_photograph(photo: Photo, *, measured: bool = True) -> CoarseFit:
     Args:
         photo: the photograph.
         measured: whether to use the alignment branch.
+        metal: whether the material is metal; None to decide by the photograph.
     """
     prior = None
     if measured:
         seen = tilt_measurement(photo)
         prior = TiltPrior((seen.x, seen.y), (seen.std_x, seen.std_y))
-    return rescale_to_flash(fit_coarse(photo, tilt_prior=prior), photo.flash_intensity)
+    fitted = fit_coarse(photo, tilt_prior=prior, known_metal=metal)
+    return rescale_to_flash(fitted, photo.flash_intensity)
 
 
 def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:

@@ -144,8 +144,11 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
         write_preview(result, stage / PREVIEW)
         write_report(result, stage / REPORT)
         written.result()
-    if settings.targets:
-        from matcap.export.targets import export_mapset
+    if settings.targets or settings.maps:
+        from matcap.export.targets import engine_maps, export_mapset
+    if settings.maps:
+        options = engine_maps(settings.maps, settings.normal)
+        export_mapset(folder / f"{name}.json", "substance", options, "maps")
     for target in settings.targets:
         export_mapset(folder / f"{name}.json", target)
     return folder / f"{name}.matcap"

@@ -31,10 +31,7 @@ from matcap.field.material import Material
 from matcap.files.process import postponed
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
-from matcap.photo.exif import (
-    quarter_turn,
-    standing,
-)
+from matcap.photo.orient import quarter_turn, standing
 from matcap.photo.photo import Photo
 
 
@@ -174,7 +171,7 @@ def judge_material(
         verdict=verdict,
         stage_seconds=clock.seconds,
         settings=settings,
-        interrupted=interrupted or stopped(),
+        interrupted=interrupted or bool(stopped()),
         estimate=estimate,
         tuning=tuning,
     )

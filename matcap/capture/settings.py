@@ -9,13 +9,12 @@ from dataclasses import asdict, dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from matcap.errors import UsageError
 from matcap.files import settings as values
 from matcap.files.names import Progress, ignore_progress
 from matcap.files.settings import CheckedSettings, setting, typed_settings
-from matcap.statistics.compare import FilterBankConfig, Weights
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
@@ -60,6 +59,8 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
         ),
     }
 )
+# Settings that take the place of what the photograph says, of one photograph by example.
+_BY_HAND = ("metal", "albedo", "roughness")
 _STEP = 16  # texels: smallest alignment of a material
 _BESIDES = 50_000_000  # bytes: upper bound of material, preview and report
 
@@ -94,6 +95,8 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 )
 # Under a time limit, so that it ends the work rather than the step count.
 UNLIMITED = Effort("standard", 800)
+# Seconds of the shortest capture, from the command's start to its end, on one idle thread.
+LEAST_TIME = 10.0
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
@@ -138,51 +141,75 @@ class CaptureSettings(CheckedSettings):
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """Texels along the photograph's long side: instant (512, a preview), draft (1024) or standard
-    (2048). A decoder has 1024, and 0, 32 or 112 steps of fine-tuning."""
-    steps: int | None = setting(None, least=0, most=10_000_000)
+    """Texels across: instant (512, a preview), draft (1024) or standard (2048). A decoder
+    has 1024, and 0, 32 or 112 steps of fine-tuning."""
+    steps: int | None = setting(None, least=0, most=10_000_000, group="Decoder")
     """With the decoder: steps of fine-tuning, instead of the preset's."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
-    """Time limit of the whole capture, in seconds or as 90s, 2m: it determines the texels instead
-    of the preset and, without --steps, the steps of a decoder."""
-    detail: int | None = setting(None, least=64, most=8192, otherwise="the preset's")
+    """Time limit of the whole capture: 90s, 2m. It determines the texels instead of the preset and,
+    without --steps, the steps of a decoder; the shortest capture takes about 10 seconds."""
+    detail: int | None = setting(
+        None, least=64, most=8192, otherwise="the preset's", group="Advanced"
+    )
     """Texels along the photograph's long side; by default the preset's if the photograph has as
     many pixels, and 1024 otherwise or with the decoder."""
     fov: float | None = setting(
-        None, least=1.0, most=170.0, metavar="1..170", otherwise="the photograph's"
+        None,
+        least=1.0,
+        most=170.0,
+        metavar="1..170",
+        otherwise="the photograph's",
+        group="Advanced",
     )
     """Field of view along the long side, degrees."""
-    white: float | None = setting(None, least=1e-9, most=1e9, otherwise="the file's, or 1")
+    white: float | None = setting(
+        None, least=1e-9, most=1e9, otherwise="the file's, or 1", group="Advanced"
+    )
     """Value that is white in files of floating-point numbers (EXR, HDR, TIFF, DNG): light above it
     is measured, and darker exposures of one scene stay comparable."""
-    width_cm: float | None = setting(None, least=0.01, most=1e5)
+    metal: bool | None = setting(
+        None, off="--dielectric", otherwise="as the photograph shows", group="Advanced"
+    )
+    """The material is metal, or none; by default the more probable, or a mixture of both."""
+    albedo: float | None = setting(
+        None, least=0.005, most=1.0, otherwise="the most probable", group="Advanced"
+    )
+    """Mean albedo (of metal: F0) by another measurement, such as 0.18: a photograph without the
+    strength of its flash does not say it."""
+    roughness: float | None = setting(
+        None, least=0.02, most=1.0, otherwise="the photograph's", group="Advanced"
+    )
+    """Mean roughness by another measurement."""
+    width_cm: float | None = setting(None, least=0.01, most=1e5, group="Output")
     """Length of the sample along the photograph's long side, centimetres: exports are true to
     scale."""
     crop: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """Rectangle of the photograph to capture, in pixels of the photograph as displayed."""
-    mask: Path | None = setting(None, metavar="FILE.png")
+    """Rectangle of the photograph to capture, pixels of the photograph as displayed."""
+    mask: Path | None = setting(None, metavar="FILE.png", group="Advanced")
     """Picture of the photograph's size: white is captured, black (a finger, a label, the table's
     edge) is left out."""
-    seed: int = setting(0, least=0, most=2**63 - 1)
+    seed: int = setting(0, least=0, most=2**63 - 1, group="Advanced")
     """Seed of the optimisation and of the map set."""
-    prior: str = setting("auto", metavar="auto|none|PATH")
+    prior: str = setting("auto", metavar="auto|none|PATH", group="Decoder")
     """With the decoder: trained prior to start from; auto is the one that comes with matcap, none a
     random initialisation."""
-    statistics: Statistics = setting(Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse)
+    statistics: Statistics = setting(
+        Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse, group="Decoder"
+    )
     """With the decoder: features whose statistics measure the texture distance."""
-    generator: Generator = setting("example", words=("decoder", "example"))
+    generator: Generator = setting("example", words=("decoder", "example"), group="Decoder")
     """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
     the paper's network, fine-tuned (decoder)."""
-    drawing: bool = setting(True)
+    drawing: bool = setting(True, group="Decoder")
     """With the decoder: add log luminance and relief of the rearranged exemplar to its inputs, so
     that the material has the photograph's pattern; without, its input is noise alone, as in the
     paper."""
-    union: bool = setting(False)
-    """With several photographs of one sample: estimate maps of all that they show, not only of the
-    first one's rectangle."""
-    aligned: bool = setting(False)
+    union: bool = setting(False, group="Several photographs")
+    """Maps of all that several photographs of one sample show, not only of the first one's
+    rectangle."""
+    aligned: bool = setting(False, group="Output")
     """Also write the maps of the photographed rectangle itself, NAME_photo, with confidence."""
 
     @staticmethod
@@ -203,8 +230,9 @@ class CaptureSettings(CheckedSettings):
         """All settings by name as JSON values."""
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
-        if self.white is None:
-            del document["white"]
+        for name in ("white", *_BY_HAND):
+            if document[name] is None:
+                del document[name]
         document |= {
             name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
         }
@@ -240,6 +268,8 @@ class InspectSettings(CheckedSettings):
 
     detail: int = setting(DETAIL, least=64, most=8192)
     """Pixels along the long side at which to read the photographs."""
+    details: bool = setting(False)
+    """All checks of each photograph, as of a single one; by default a line for each of several."""
     together: bool | None = setting(None, otherwise="if names are numbered: oak_1, oak_2")
     """All photographs show the same sample: also report what they cover and lack together."""
 
@@ -264,17 +294,20 @@ class OutputSettings(CheckedSettings):
     """
 
     size: tuple[int, int] = setting((1024, 1024), metavar="WxH", parse=values.size)
-    """Size of the first map set in texels: 2048x1024, or 2K, 4K, 8K."""
+    """Texels of the first map set: 2048x1024, 2K, 4K, 8K."""
     seed: int = 0
     """Seed of the first map set."""
-    tile: bool | None = setting(None, otherwise="if the sides are multiples of 16")
+    tile: bool | None = setting(None, otherwise="if the sides are multiples of 16", group="Output")
     """Make a first map set that repeats without a seam."""
-    png: bool = setting(False)
+    maps: Literal["png", "jpg"] | None = setting(None, words=("png", "jpg"))
+    """Also base colour, metallic, roughness, normal, height and ambient occlusion for engines, in
+    the folder `maps`."""
+    png: bool = setting(False, group="Output")
     """Write 16-bit PNGs in addition to EXR files."""
-    normal: NormalStyle = setting("gl", words=("gl", "dx"))
+    normal: NormalStyle = setting("gl", words=("gl", "dx"), group="Output")
     """Normals with +Y up (gl) or down (dx)."""
     targets: tuple[str, ...] = setting(
-        (), option="export", metavar="TARGET", parse=_known_targets, several=True
+        (), option="export", metavar="TARGET", parse=_known_targets, several=True, group="Output"
     )
     """Also export for this renderer or engine, into a folder of its name; see matcap export.
     Repeatable."""
@@ -298,10 +331,10 @@ class OutputSettings(CheckedSettings):
         from matcap.brdf.folder import mapset_bytes
 
         room = mapset_bytes(*self.size, png=self.png) + _BESIDES
-        if self.targets:
+        if self.targets or self.maps:
             from matcap.export.targets import export_bytes
 
-            room += len(self.targets) * export_bytes(*self.size)
+            room += (len(self.targets) + bool(self.maps)) * export_bytes(*self.size)
         return room
 
 
@@ -328,13 +361,19 @@ def check_photographs(settings: CaptureSettings, photographs: int) -> None:
     """Check settings against the number of photographs of a sample.
 
     Raises:
-        UsageError: `union` is set for one photograph, or the decoder for several.
+        UsageError: `union` is set for one photograph, or the decoder for several; a property is
+            given by hand for several, or for a decoder.
     """
     if settings.generator == "decoder" and photographs > 1:
         raise UsageError.at(
             "--generator decoder",
             "the decoder is fine-tuned to one photograph",
             "give one, or leave it out",
+        )
+    given = [name for name in _BY_HAND if getattr(settings, name) is not None]
+    if given and (photographs > 1 or (settings.generator == "decoder" and given != ["metal"])):
+        raise UsageError.at(
+            f"--{given[-1]}", "this is of one photograph, by example", "leave it out"
         )
     if settings.union and photographs < 2:
         raise UsageError.at(
@@ -379,23 +418,6 @@ def resolve(settings: CaptureSettings) -> Effort:
     if settings.detail is not None:
         effort = replace(effort, detail=settings.detail)
     return effort if settings.generator == "decoder" else replace(effort, steps=0)
-
-
-# Variants of the capture method for experiments; not user settings.
-
-
-WINDOW = 160  # side of the windows whose texture statistics are compared, texels
-FEATURES = FilterBankConfig(sizes=(5,), filters=64)
-
-
-@dataclass(frozen=True)
-class Method:
-    """A variant of the capture method; by default the one that measured best."""
-
-    weights: Weights = Weights()
-    """Weights of the texture statistics in their sum."""
-    measured_tilt: bool = True
-    """Whether the alignment branch's tilt is a prior of the coarse fit."""
 
 
 # Progress of a capture: its stages, each with its share of the time.
@@ -457,6 +479,22 @@ _OTHERS = 1.0 - sum(DRAWING_STAGES[name] for name in _EXEMPLAR)
 DECODER_STAGES: Mapping[str, float] = MappingProxyType(
     {name: share / _OTHERS for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
 )
+
+# What is shown of a stage; several stages that a person need not tell apart have one name.
+_ESTIMATING = "estimating maps"
+SHOWN_STAGES: Mapping[str, str] = {
+    "read": "reading",
+    "register": "aligning the photographs",
+    "coarse fit": "finding the highlight",
+    **dict.fromkeys(
+        ("network", "relief spectrum", "refine", "align", "solve", "predict"), _ESTIMATING
+    ),
+    "inpaint": "filling the highlight",
+    "index": "preparing the texture",
+    **dict.fromkeys(("statistics", "start", "fine-tuning", "matching"), "training the decoder"),
+    "verdict": "checking",
+    "write": "writing",
+}
 
 
 @dataclass(frozen=True)

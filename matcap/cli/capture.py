@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.capture.settings import (
+    LEAST_TIME,
     CaptureSettings,
     OutputSettings,
     check_photographs,
 )
 from matcap.cli.options import (
     NOTHING,
+    SEVERAL,
     Fields,
     Given,
     JsonOption,
@@ -29,6 +31,7 @@ from matcap.cli.options import (
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files.names import usable_name
+from matcap.files.settings import spoken_duration
 
 if TYPE_CHECKING:
     from matcap.cli.display import CaptureDisplay
@@ -51,15 +54,16 @@ def capture(
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Each photograph gets a folder of its name here.")
+        Path, typer.Option("--out", "-o", help="A folder for each photograph's folder.")
     ] = Path("out"),
     given: Annotated[Given, Fields(CaptureSettings, OutputSettings)] = NOTHING,
     together: Annotated[
         bool,
         typer.Option(
             "--together",
-            help="The photographs show the same sample from several places: make one material of "
-            "them all, in the frame of the first photograph and under its name.",
+            help="Make one material of all photographs: they show the same sample from several "
+            "places. It is made in the frame of the first photograph and under its name.",
+            rich_help_panel=SEVERAL,
         ),
     ] = False,
     overwrite: OverwriteOption = False,
@@ -69,15 +73,8 @@ def capture(
 ) -> None:
     """Turn flash photographs into materials.
 
-    Photographs from one place whose exposures are a stop or more apart (a bracket) make one
-    material: the darker ones measure the highlight.
-
-    Writes for each photograph, into a folder of its name: the material (.matcap), a first map
-    set, preview.png and report.json. Prints a verdict: good, usable, doubtful or failed, with the
-    likely cause and a remedy. Ctrl-C saves a decoder's best result so far. By default the maps of
-    the photographed sample are estimated, and larger maps synthesised by example from them;
-    --generator decoder fine-tunes the decoder of Henzler et al. 2021 instead, which also reads
-    their pattern. Both use the tilt that its alignment branch predicts.
+    Writes the material (.matcap), a first map set (EXR), preview.png and report.json, and prints a
+    verdict. Photographs from one place, a stop or more apart in exposure, make one material.
     """
     from matcap.capture.bracket import find_brackets
     from matcap.cli.display import CaptureDisplay
@@ -96,6 +93,9 @@ def capture(
     check_writable(out, outputs.room)
     results = []
     with CaptureDisplay.open(quiet=quiet) as shown:
+        if settings.time_limit is not None and settings.time_limit < LEAST_TIME:
+            asked, least = (spoken_duration(each) for each in (settings.time_limit, LEAST_TIME))
+            shown.note(f"--time {asked}: the shortest capture takes about {least}, more when busy.")
         for job in jobs:
             # Time before the first photograph counts as the process's start.
             spent = time.process_time() if job is jobs[0] else 0.0

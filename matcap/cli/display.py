@@ -18,6 +18,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from matcap.capture.settings import SHOWN_STAGES
 from matcap.files.settings import spoken_duration
 from matcap.photo.checks import Rating
 
@@ -31,8 +32,8 @@ _NAMED = (TextColumn("{task.description}", markup=False), BarColumn())
 _PERCENT = TextColumn("{task.percentage:>3.0f} %")
 _STAGE = TextColumn("{task.fields[stage]}")
 _LEFT = TextColumn("{task.fields[left]}", style="dim")
-_EVERY = 10.0  # seconds between lines of a synthesis where there is no terminal
-_SHORT = 2.0  # seconds of rendering for which no bar is shown
+_EVERY = 10.0  # seconds between lines where there is no terminal
+_SHORT = 2.0  # seconds of work for which no bar is shown
 
 
 class _Shown:
@@ -94,20 +95,21 @@ class CaptureDisplay(_Shown):
         """Show the stage, the error and the remaining time."""
         error = ""
         left = "" if now.seconds_left is None else spoken_duration(now.seconds_left)
+        stage = SHOWN_STAGES.get(now.stage, now.stage)
         if now.error is not None:
-            error = f"texture distance {now.error:.2f} times that between parts of the photograph"
+            error = f"differs {now.error:.2f} times as much as parts of the photograph"
         if self._bars is not None and self._task is not None:
             to_go = left and f"{left} left"
             self._bars.update(
-                self._task, completed=now.fraction, stage=now.stage, error=error, left=to_go
+                self._task, completed=now.fraction, stage=stage, error=error, left=to_go
             )
-        elif not self._quiet and now.stage not in (self._stage, "read"):
-            # Without the stage `read`, so that an unreadable file prints only its error.
-            self._say(f"  {now.seconds:6.1f} s  {now.stage}  {error}".rstrip())
+        elif not self._quiet and stage != self._stage and now.stage != "read":
+            # Without reading, so that an unreadable file prints only its error.
+            self._say(f"  {now.seconds:6.1f} s  {stage}  {error}".rstrip())
         if now.interrupted and not self._interrupted and not self._quiet:
             soon = left and f", in about {left}"
             self._say(f"  interrupted: saving the best so far{soon}")
-        self._stage, self._interrupted = now.stage, now.interrupted
+        self._stage, self._interrupted = stage, now.interrupted
 
     def finished(self, photo: Path, done: dict[str, Any]) -> None:
         """Print the folder, the verdict and notes of a completed capture."""
@@ -153,22 +155,26 @@ class SynthDisplay(_Shown):
             self._say(f"  {now.fraction:6.1%}  {rate}")
 
 
-class RelightDisplay(_Shown):
-    """Shows the share done and the remaining time of a picture, on a terminal only."""
+class ShareDisplay(_Shown):
+    """Shows the share done, and the time left, of work that takes longer than two seconds."""
 
-    columns = (TextColumn("relighting"), BarColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     transient = True
 
     def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
         super().__init__(console, bars, quiet=quiet)
         self._task = None if bars is None else bars.add_task("", total=1.0, visible=False)
-        self._began = time.monotonic()
+        self._began = self._printed = time.monotonic()
 
-    def progress(self, share: float) -> None:
-        """Show the share done."""
+    def progress(self, share: float, work: str = "relighting") -> None:
+        """Show the share done, in [0, 1], of the work named."""
+        now = time.monotonic()
         if self._bars is not None and self._task is not None:
-            long = time.monotonic() - self._began > _SHORT
-            self._bars.update(self._task, completed=share, visible=long)
+            long = now - self._began > _SHORT
+            self._bars.update(self._task, completed=share, visible=long, description=work)
+        elif not self._quiet and now - self._printed >= _EVERY:
+            self._printed = now
+            self._say(f"  {share:6.1%}  {work}")
 
 
 class BatchDisplay(_Shown):
@@ -204,7 +210,8 @@ class BatchDisplay(_Shown):
         name = entry.sample.name
         self._shares[name] = now.fraction
         if self._bars is not None and name in self._tasks:
-            self._bars.update(self._tasks[name], completed=now.fraction, stage=now.stage)
+            stage = SHOWN_STAGES.get(now.stage, now.stage)
+            self._bars.update(self._tasks[name], completed=now.fraction, stage=stage)
             if self._whole is not None:
                 self._bars.update(self._whole, left=self._left())
 

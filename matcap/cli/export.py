@@ -18,10 +18,7 @@ from matcap.cli.options import (
     files_read,
     with_settings,
 )
-from matcap.export.textures import (
-    ExportArea,
-    ExportOptions,
-)
+from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import ReadOptions
 from matcap.files import settings as values
 
@@ -84,7 +81,7 @@ def export(
     )
 
     if to is None:
-        raise UsageError.at("matcap export", "there is no target", "give one with --to")
+        raise UsageError.at("--to", "there is no target", f"choose from {', '.join(TARGETS)}")
     target = known(to, TARGETS, "--to")
     options = chosen(ExportOptions, written)
     if target in DOCUMENTS:

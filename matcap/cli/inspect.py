@@ -24,6 +24,7 @@ from matcap.cli.options import (
     with_settings,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
+from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
     from matcap.photo.inspect import Inspection
@@ -37,8 +38,8 @@ def inspect(
         list[Path],
         typer.Argument(
             metavar="PHOTO...",
-            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR; or a material "
-            "(.matcap).",
+            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR, a folder of them, "
+            "or a material (.matcap).",
         ),
     ],
     given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
@@ -47,20 +48,21 @@ def inspect(
 ) -> None:
     """Rate photographs before they are captured, with advice for the next one.
 
-    Checks flash, clipping, hot spot, tilt, sharpness and uniformity; prints the kind of file, the
-    contrast of highlight and glints, and that of relief and albedo if it can be measured. Ratings
-    are those of a capture's verdict: "-" usable, "?" doubtful, "!" failed. Of several photographs
-    of one sample it reports which cannot be registered, which sides no photograph lights, and
-    which are nearly the same. Of a material it prints its exemplar, the share of it left out, its
-    F0, and highlight and glints of its verdict.
+    Checks whether there is a lit, flat material, and flash, clipping, highlight, tilt, sharpness
+    and uniformity. Of several photographs it prints a line for each: "-" usable, "?" doubtful, "!"
+    failed. Of several of one sample it reports which cannot be registered, which sides no
+    photograph lights, and which are nearly the same. Of a material it prints its exemplar, its F0
+    and its verdict.
     """
     from matcap.files.names import are_a_series
 
-    detail, together = astuple(chosen(InspectSettings, given))
+    detail, details, together = astuple(chosen(InspectSettings, given))
+    photos = _files(photos)
     fov, white = captured.get("fov"), captured.get("white")
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
+    briefly = not details and len(pictures) > 1
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
     failures = 0
@@ -69,7 +71,10 @@ def inspect(
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            document, text = _material(path) if of_material else _photo(path, detail, fov, white)
+            if of_material:
+                document, text = _material(path)
+            else:
+                document, text = _photo(path, detail, fov, white, briefly=briefly)
         except UsageError:
             raise
         except MatcapError as error:
@@ -100,8 +105,35 @@ def inspect(
         raise typer.Exit(ExitCode.SOME_FAILED if some else ExitCode.NOTHING_SUCCEEDED)
 
 
+def _files(paths: Sequence[Path]) -> list[Path]:
+    """The paths, folders replaced by the photographs in them.
+
+    Raises:
+        MatcapError: a folder without photographs.
+    """
+    from matcap.batch.samples import find_samples
+
+    files: list[Path] = []
+    for path in paths:
+        inside = find_samples(path, group="none") if path.is_dir() else []
+        files += [photo for sample in inside for photo in sample.photos] or [path]
+    return files
+
+
+def _briefly(path: Path, quality: Inspection) -> str:
+    """A line on a photograph: its rating, and what limits it most."""
+    line = f"{_MARKS[quality.rating.value]} {path.name}: {quality.rating.value}"
+    subject = quality["subject"]
+    if subject.rating is not Rating.GOOD:
+        return f"{line}: {subject.line()}"
+    rated = [one for one in quality.findings if one.rating is quality.rating]
+    if quality.rating is Rating.GOOD or not rated:
+        return line
+    return f"{line}: {max(rated, key=lambda one: one.severity).line()}"
+
+
 def _photo(
-    path: Path, detail: int, fov: float | None, white: float | None
+    path: Path, detail: int, fov: float | None, white: float | None, *, briefly: bool
 ) -> tuple[dict[str, Any], str]:
     """Checks of a photograph, for JSON and as text."""
     from matcap.capture.inspection import inspect_file
@@ -115,7 +147,7 @@ def _photo(
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
     document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
-    return document, "\n".join(lines)
+    return document, _briefly(path, quality) if briefly else "\n".join(lines)
 
 
 def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:

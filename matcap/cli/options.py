@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from enum import Enum
@@ -13,14 +14,16 @@ from types import MappingProxyType
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperOption
 
-from matcap.brdf.folder import mapset_files
 from matcap.files.settings import Setting, number, settings_in
 
-# Options that several commands share.
+# Options that several commands share, and the groups of options in help.
 
 
+GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
+EVERYDAY, SEVERAL, OUTPUT, DECODER, ADVANCED = GROUPS
+_ENDLESS = 1e5  # end of a range that help does not show
 T = TypeVar("T")
 
 
@@ -37,18 +40,24 @@ def typed(parse: Callable[[Any], T]) -> Callable[[Any], T]:
     return parsed
 
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the results as JSON.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the results as JSON.", rich_help_panel=OUTPUT)
+]
 StrictOption = Annotated[
     bool,
     typer.Option(
-        "--strict", help="Count doubtful and failed verdicts as failures: exit code 3 or 4."
+        "--strict",
+        help="Count doubtful and failed verdicts as failures: exit code 3 or 4.",
+        rich_help_panel=OUTPUT,
     ),
 ]
 OverwriteOption = Annotated[
     bool,
     typer.Option("--overwrite", help="Replace existing outputs."),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Print only failures.", rich_help_panel=OUTPUT)
+]
 
 
 def printer(*, quiet: bool) -> Callable[[str], None]:
@@ -57,7 +66,10 @@ def printer(*, quiet: bool) -> Callable[[str], None]:
 
 
 class PlainCommand(TyperCommand):
-    """Typer's command, without `<bool>` in the help of flags."""
+    """Typer's command: options in groups, the everyday ones first, a sentence each.
+
+    The reference page has the whole texts. Flags have no `<bool>`, paragraphs no line breaks.
+    """
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401
         """All parameters including `--help`, flags without a type."""
@@ -65,7 +77,25 @@ class PlainCommand(TyperCommand):
         for param in params:
             if getattr(param, "is_flag", False) and param.metavar is None:
                 param.metavar = ""
+            if isinstance(param, TyperOption) and param.name == "help":
+                param.rich_help_panel = ADVANCED
         return params
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
+        """Print the help."""
+        paragraphs = (self.help or "").split("\n\n")
+        self.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
+        self.epilog = f"More of each option: docs/reference/commands.md, matcap {self.name}."
+        options = [param for param in self.params if isinstance(param, TyperOption)]
+        if any(param.rich_help_panel == DECODER for param in options):
+            for param in options:
+                param.rich_help_panel = param.rich_help_panel or EVERYDAY
+        for param in options:
+            param.help = re.split(r"[.;] ", param.help or "")[0].rstrip(".") + "."
+        panels = [getattr(param, "rich_help_panel", None) or EVERYDAY for param in self.params]
+        order = sorted(range(len(panels)), key=lambda at: GROUPS.index(panels[at]))
+        self.params = [self.params[at] for at in order]
+        super().format_help(ctx, formatter)
 
 
 def files_read(*given: Path | None) -> list[Path]:
@@ -77,6 +107,8 @@ def _of(path: Path) -> Iterable[Path]:
     if not path.is_dir() and path.suffix.lower() != ".json":
         return [path]
     folder = path if path.is_dir() else path.parent
+    from matcap.brdf.folder import mapset_files
+
     sets = [file.stem for file in folder.glob("*.json")]
     maps = {file for name in sets for file in mapset_files(name)}
     return [file for file in folder.glob("*") if file.suffix == ".matcap" or file.name in maps]
@@ -149,6 +181,7 @@ def _parameter(one: Setting) -> inspect.Parameter:
     rule = one.rule
     more: dict[str, Any] = {}
     kind: Any = one.kind
+    metavar = rule.metavar
     default = None if rule.otherwise else _text_of_default(one.default)
     if rule.words:
         kind = cast(Any, Enum)(one.name, {word: word for word in rule.words})
@@ -157,21 +190,27 @@ def _parameter(one: Setting) -> inspect.Parameter:
         kind = list[str]
     elif rule.parse is not None:
         kind, more = Any, {"parser": typed(rule.parse)}
-    elif kind is float and rule.metavar:
-        kind, more = Any, {"parser": typed(number(rule.least, rule.most))}
     elif math.isfinite(rule.least):
-        more = {"min": kind(rule.least), "max": kind(rule.most)}
-    flag = f"{one.flag}/--no-{one.flag[2:]}" if kind is bool else one.flag
+        kind, more = Any, {"parser": typed(number(rule.least, rule.most, one.kind))}
+        metavar = metavar or _range(rule.least, rule.most)
+    off = rule.off or f"--no-{one.flag[2:]}"
+    flag = f"{one.flag}/{off}" if kind is bool else one.flag
     names = [flag, *([rule.short] if rule.short else [])]
     option: Any = typer.Option
     shown = rule.otherwise or default is not None
-    stated = option(*names, help=one.help, metavar=rule.metavar, show_default=shown, **more)
+    more |= {"rich_help_panel": rule.group or None}
+    stated = option(*names, help=one.help, metavar=metavar, show_default=shown, **more)
     return inspect.Parameter(
         one.field,
         inspect.Parameter.KEYWORD_ONLY,
         default=default,
         annotation=Annotated[kind | None, stated],
     )
+
+
+def _range(least: float, most: float) -> str:
+    """Placeholder of a number: its range, unless nobody reaches its end."""
+    return f"{least:g}..{most:g}" if most < _ENDLESS else "N"
 
 
 def _text_of_default(default: object) -> str | None:

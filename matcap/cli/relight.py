@@ -21,12 +21,12 @@ from matcap.cli.options import (
     with_settings,
 )
 from matcap.field.options import ReadOptions
-from matcap.relight.output import RelightOptions
+from matcap.relight.options import RelightOptions
 
 if TYPE_CHECKING:
     from matcap.files import settings as values
     from matcap.relight.plan import Plan
-    from matcap.relight.render import Renderer
+    from matcap.relight.render import Renderer, Rendering
     from matcap.relight.scene import Scene
 
 
@@ -56,7 +56,7 @@ def relight(
     """Show a material under another light."""
     from itertools import chain
 
-    from matcap.cli.display import RelightDisplay
+    from matcap.cli.display import ShareDisplay
     from matcap.errors import UsageError
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
@@ -116,23 +116,31 @@ def relight(
     check_memory(
         _PIXEL_BYTES * film.width * film.height * at_once, "--size", "ask for a smaller picture"
     )
-    if animate is not None:
-        scenes = ANIMATIONS[animate](renderer.scene, asked.frames)
-        moving = (renderer.render(one, tolerance=limit, effects=effects) for one in scenes)
-        first = next(moving)
-        rest = (one.radiance for one in moving)
-        write_movie(chain([first.radiance], rest), out, film)
-        plan = first.plan
-    elif sheet is not None:
-        picture, plan = light_sheet(renderer, *sheet, tolerance=limit, effects=effects)
-        write_still(picture, out, film)
-    else:
-        with RelightDisplay.open(quiet=quiet or json) as shown:
+    with ShareDisplay.open(quiet=quiet or json) as shown:
+        if animate is not None:
+            scenes = enumerate(ANIMATIONS[animate](renderer.scene, asked.frames), 1)
+
+            def rendered(one: Scene, number: int) -> Rendering:
+                done = renderer.render(one, tolerance=limit, effects=effects)
+                shown.progress(number / asked.frames)
+                return done
+
+            moving = (rendered(one, number) for number, one in scenes)
+            first = next(moving)
+            rest = (one.radiance for one in moving)
+            write_movie(chain([first.radiance], rest), out, film)
+            plan = first.plan
+        elif sheet is not None:
+            picture, plan = light_sheet(
+                renderer, *sheet, tolerance=limit, effects=effects, progress=shown.progress
+            )
+            write_still(picture, out, film)
+        else:
             rendering = renderer.render(progress=shown.progress, tolerance=limit, effects=effects)
-        write_still(rendering.radiance, out, film)
-        if explain_map is not None:
-            write_tiles(rendering, explain_map)
-        plan = rendering.plan
+            write_still(rendering.radiance, out, film)
+            if explain_map is not None:
+                write_tiles(rendering, explain_map)
+            plan = rendering.plan
     _report(plan, out, as_json=json, explain=explain)
     printer(quiet=quiet or json)(f"{maps_from or path}: {out}")
 
@@ -159,7 +167,8 @@ def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) ->
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     """Camera and flash of a material's photograph as a scene, or None."""
     from matcap.field.opened import open_photographed
-    from matcap.relight.scene import Film, photographed_scene
+    from matcap.relight.photographed import photographed_scene
+    from matcap.relight.scene import Film
 
     known = open_photographed(path)
     if known is None:

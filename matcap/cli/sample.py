@@ -126,6 +126,7 @@ def blend(
     Exemplars are laid over each other and interpolated; of two decoders, latent vectors and
     network weights, and the exemplars that they draw from. The ends are A and B themselves.
     """
+    from matcap.cli.display import ShareDisplay
     from matcap.field.opened import open_material
     from matcap.files.names import usable_name
     from matcap.files.output import Output, check_output, check_writable
@@ -140,7 +141,11 @@ def blend(
     outputs = [out / name for name in (*names, _STRIP)]
     check_output(outputs, inputs=[first, second], overwrite=overwrite)
     check_writable(out, max(path.stat().st_size for path in (first, second)) * len(asked.shares))
-    materials = [between.blend(one, other, t) for t in asked.shares]
+    materials = []
+    with ShareDisplay.open(quiet=quiet) as shown:
+        for number, t in enumerate(asked.shares, 1):
+            materials.append(between.blend(one, other, t))
+            shown.progress(number / len(asked.shares), "blending")
     with Output(out).stage() as stage:
         for name, material in zip(names, materials, strict=True):
             material.save(stage / name)

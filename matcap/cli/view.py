@@ -19,7 +19,7 @@ from matcap.cli.options import (
     with_settings,
 )
 from matcap.field.options import ReadOptions
-from matcap.view.subject import ViewOptions
+from matcap.view.options import ViewOptions
 
 
 @with_settings

@@ -8,12 +8,14 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.index import Frame, Level, Lookup, two_phases
+from matcap.example.grids import Frame
+from matcap.example.index import Level, Lookup, two_phases
 from matcap.example.lattice import PhasedLattice, Phases, cells_of
 from matcap.example.library import address, hash_places, loops
 from matcap.example.patches import Axis, inset, lay_patches
 from matcap.example.placement import PatchNumbers, spread_patches
-from matcap.field.plane import Integers, Period, Rectangle
+from matcap.field.plane import Period, Rectangle
+from matcap.field.turns import Integers
 
 # Correction of synthesised coordinates [lefebvre2005] with k-coherence candidates [tong2002].
 

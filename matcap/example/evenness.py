@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.candidates import SLOPES
-from matcap.example.index import COST_BITS
+from matcap.example.grids import COST_BITS
 
 # Trends of texture; docs/notes/field.md.
 _DEGREE = 4  # of the polynomial: orientation around a mirror point is quadratic near to it

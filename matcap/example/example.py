@@ -28,17 +28,8 @@ from matcap.example.blend import (
 )
 from matcap.example.coordinates import Places, coordinates, initial_places
 from matcap.example.exemplar import Exemplar, Floats
-from matcap.example.index import (
-    Frame,
-    Index,
-    Lookup,
-    PatchSizes,
-    build_index,
-    frame_of,
-    kept_lattice,
-    level_count,
-    prepare,
-)
+from matcap.example.grids import Frame, PatchSizes, frame_of, level_count
+from matcap.example.index import Index, Lookup, build_index, kept_lattice, prepare
 from matcap.example.lattice import GRID, Frequency
 from matcap.example.repeat import BLOCKS, RepeatedSource
 from matcap.field.header import opened

@@ -17,13 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.library import scramble
-from matcap.field.plane import (
-    Integers,
-    Period,
-    same_cells,
-    turns_per_texel,
-    whole_turns,
-)
+from matcap.field.plane import Period
+from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
 
 # Measurement of a lattice and its patches; docs/notes/field.md.
 _BINS = 24  # of a turn, for the search for joints

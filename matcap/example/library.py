@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.field.plane import Integers
+from matcap.field.turns import Integers
 from matcap.files.process import find_library, not_built
 
 # Random integers as a pure function of (seed, level, x, y), exact anywhere in [-2^40, 2^40].

@@ -18,13 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.index import Frame, Level
+from matcap.example.grids import Frame
+from matcap.example.index import Level
 from matcap.example.library import (
     Hashes,
     hash_places,
 )
 from matcap.example.placement import Placement, drawn, reuse_cost
-from matcap.field.plane import Integers
+from matcap.field.turns import Integers
 
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _ALONG = 32  # most places along a border at which patches are compared

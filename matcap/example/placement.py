@@ -11,16 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.index import (
-    COST_BITS,
-    Frame,
-)
+from matcap.example.grids import COST_BITS, Frame
 from matcap.example.library import (
     Hashes,
     draw,
     hash_places,
 )
-from matcap.field.plane import Integers
+from matcap.field.turns import Integers
 
 # Placement of patches; docs/notes/field.md.
 RULE = 2  # of new files; those without a rule have 1: the cost of centres, and no cost of reuse

@@ -8,7 +8,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -342,6 +341,8 @@ def sources(
         size: (width, height) of the maps.
         rounds: of the fixed-point iteration from p = texel; more where the move is long.
     """
+    import cv2  # takes a tenth of a second, which synthesis is spared
+
     width, height = size
     y, x = np.mgrid[:height, :width].astype(np.float32)
     from_x, from_y = x, y
@@ -395,6 +396,8 @@ def _read_inside(maps: Floats, x: NDArray[np.floating], y: NDArray[np.floating])
 
     At most a quarter of the shorter side is cropped at each border; beyond, borders are repeated.
     """
+    import cv2  # takes a tenth of a second, which synthesis is spared
+
     height, width = maps.shape[1:]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
     rows, columns = _inside(inside)

@@ -24,12 +24,8 @@ from matcap.example.example import (
     coarsened,
     detail_bits,
 )
-from matcap.example.index import (
-    Lookup,
-    PatchSizes,
-    grid_bits,
-    grids_of,
-)
+from matcap.example.grids import PatchSizes, grid_bits, grids_of
+from matcap.example.index import Lookup
 from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.

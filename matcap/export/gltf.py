@@ -23,15 +23,10 @@ from typing import Any
 
 import numpy as np
 
+from matcap.export.formats import Container, Depth, Picture, rgb
 from matcap.export.job import (
     ExportJob,
     MapRows,
-)
-from matcap.export.occlusion import (
-    Container,
-    Depth,
-    Picture,
-    rgb,
 )
 from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
 from matcap.export.shading import (

@@ -13,7 +13,8 @@ import numpy as np
 
 from matcap.brdf.maps import COLOURED
 from matcap.errors import MatcapError, UsageError
-from matcap.export.occlusion import Container, Depth, Picture, bands, settings
+from matcap.export.formats import Container, Depth, Picture, bands
+from matcap.export.occlusion import settings
 from matcap.field.opened import open_material
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.files.names import check_grid, tile_number, usable_name

@@ -23,12 +23,12 @@ from typing import Literal
 import numpy as np
 import torch
 
+from matcap.export.formats import Picture
 from matcap.export.gltf import ior
 from matcap.export.job import (
     ExportJob,
     MapRows,
 )
-from matcap.export.occlusion import Picture
 from matcap.export.presets import EngineModel
 from matcap.export.shading import (
     MadeSurface,

@@ -10,8 +10,8 @@ from importlib.resources import files as resources
 
 import numpy as np
 
+from matcap.export.formats import Picture, brightest_channel
 from matcap.export.job import ExportJob, MapRows
-from matcap.export.occlusion import Picture, brightest_channel
 from matcap.export.shading import Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (

@@ -1,55 +1,17 @@
-"""Pixel types of textures; ambient occlusion, cavity and bent normals from horizon maps."""
+"""Ambient occlusion, cavity and bent normals of a height field, from horizon maps [max1988]."""
 
 from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-# Pixel types in memory and file formats of textures.
-
-
-Depth = Literal["8", "16", "half", "float"]
-Container = Literal["png", "jpg", "webp", "exr", "tx"]
-Picture = NDArray[np.float32]
-
-CONTAINERS: dict[Container, tuple[Depth, ...]] = {
-    "png": ("8", "16"),
-    "jpg": ("8",),
-    "webp": ("8",),
-    "exr": ("half", "float"),
-    "tx": ("8", "16", "half", "float"),
-}
-NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
-# Rows processed together: with 4096 columns the working set fits the cache.
-_BAND_ROWS = 64
-
-
-def rgb(values: Picture) -> Picture:
-    """(H, W, 3): grey (H, W) is repeated."""
-    return np.repeat(values[..., None], 3, axis=2) if values.ndim == 2 else values
-
-
-def brightest_channel(values: Picture) -> Picture:
-    """(H, W) maximum over channels of (H, W[, 3])."""
-    return values if values.ndim == 2 else values.max(axis=-1)
-
-
-def mean_channel(values: Picture) -> Picture:
-    """(H, W) mean over channels of (H, W[, 3])."""
-    return values if values.ndim == 2 else values.mean(axis=-1)
-
-
-def bands(height: int) -> list[slice]:
-    """Slices of _ROWS rows that cover a picture."""
-    return [slice(top, min(top + _BAND_ROWS, height)) for top in range(0, height, _BAND_ROWS)]
-
+from matcap.export.formats import Picture
 
 # Ambient occlusion, cavity and bent normals of a height field, from horizon maps [max1988].
 #

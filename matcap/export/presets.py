@@ -16,18 +16,12 @@ import numpy as np
 from torch import Tensor
 
 from matcap.errors import UsageError
+from matcap.export.formats import Depth, NormalMaps, Picture, brightest_channel, mean_channel, rgb
 from matcap.export.job import (
     ExportJob,
     MapRows,
 )
-from matcap.export.occlusion import (
-    Depth,
-    NormalMaps,
-    Picture,
-    brightest_channel,
-    mean_channel,
-    rgb,
-)
+from matcap.export.options import ExportOptions
 from matcap.export.shading import (
     MATCAP,
     MadeSurface,
@@ -50,7 +44,6 @@ from matcap.export.textures import (
     SIGNED_NORMAL,
     SPECULAR,
     Export,
-    ExportOptions,
     Workflow,
     coded_height,
     coded_normal,

@@ -14,8 +14,8 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_visibility
+from matcap.export.formats import Picture
 from matcap.export.job import ExportJob
-from matcap.export.occlusion import Picture
 from matcap.export.texture_file import TextureFile
 
 # Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).

@@ -47,6 +47,7 @@ from typing import Any
 from matcap.brdf.edited import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.engines import PLAIN, PRESETS
+from matcap.export.formats import Container, NormalMaps
 from matcap.export.gltf import gltf_metallic, gltf_specular
 from matcap.export.job import (
     ExportJob,
@@ -55,17 +56,14 @@ from matcap.export.job import (
 )
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
+from matcap.export.options import ExportOptions
 from matcap.export.presets import Preset, pack
 from matcap.export.shading import (
     Residual,
     residuals,
 )
 from matcap.export.texture_file import WRITERS, TextureFile
-from matcap.export.textures import (
-    Export,
-    ExportOptions,
-    Workflow,
-)
+from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.files.names import (
     MAKER_VERSION,
@@ -143,11 +141,24 @@ def check_targets(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(known(name, TARGETS, "--export") for name in names))
 
 
-def export_mapset(folder: Path, target: str) -> Exported:
-    """Export the map set of a folder into a subfolder with the target's name.
+def engine_maps(container: Container, normal: NormalMaps) -> ExportOptions:
+    """Options of `substance` for the textures that every engine reads: base colour, metallic,
+    roughness, normal, height and ambient occlusion.
+    """
+    maps = ("base", "mask", "roughness", "normal", "height", "occlusion")
+    return ExportOptions(maps=maps, container=container, normal=normal)
+
+
+def export_mapset(
+    folder: Path, target: str, options: ExportOptions | None = None, name: str = ""
+) -> Exported:
+    """Export the map set of a folder into a subfolder.
 
     Args:
         folder: holds one map set, or is its JSON document.
+        target: of the export.
+        options: of the export.
+        name: of the subfolder; "" is the target's.
 
     Raises:
         UsageError: no such target.
@@ -160,9 +171,14 @@ def export_mapset(folder: Path, target: str) -> Exported:
     millimetres = known_scale(opened.provenance)
     reach = material_reach(folder, opened.name)
     job = ExportJob(
-        opened.maps, opened.name, millimetres, provenance=opened.provenance, reach=reach
+        opened.maps,
+        opened.name,
+        millimetres,
+        provenance=opened.provenance,
+        container=options.container if options else None,
+        reach=reach,
     )
-    return write_export(job, target, place / target, overwrite=True)
+    return write_export(job, target, place / (name or target), options, overwrite=True)
 
 
 def export_bytes(width: int, height: int) -> int:

@@ -12,16 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.export.formats import CONTAINERS, Container, Depth, Picture, bands
 from matcap.export.job import (
     ExportJob,
     MapRows,
-)
-from matcap.export.occlusion import (
-    CONTAINERS,
-    Container,
-    Depth,
-    Picture,
-    bands,
 )
 from matcap.files.color import (
     srgb_decode,

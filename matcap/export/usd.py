@@ -26,16 +26,13 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
+from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
 from matcap.export.job import (
     ExportJob,
     MapRows,
 )
 from matcap.export.materialx import INPUTS, Layered
-from matcap.export.occlusion import (
-    Picture,
-    rgb,
-)
 from matcap.export.presets import EngineModel, PackedMaterial
 from matcap.export.shading import (
     MadeSurface,

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from matcap.export.formats import Picture, bands, brightest_channel, mean_channel, rgb
 from matcap.export.job import ExportJob, MapRows
-from matcap.export.occlusion import Picture, bands, brightest_channel, mean_channel, rgb
 from matcap.export.shading import (
     DIRECTIONS,
     MATCAP,

@@ -59,9 +59,7 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
                 )
             yield file, about
     except (SafetensorError, OSError) as error:
-        raise MatcapError.at(
-            path, f"this is not a material, or it is damaged ({error})", REMEDY
-        ) from error
+        raise MatcapError.at(path, "this is not a material, or it is damaged", REMEDY) from error
     except DAMAGED as error:
         raise MatcapError.at(
             path, f"the material's description is damaged ({error})", REMEDY

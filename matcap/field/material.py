@@ -43,12 +43,9 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
+from matcap.field.field import Field
 from matcap.field.header import FORMAT, VERSION, opened
-from matcap.field.source import (
-    Field,
-    FieldGenerator,
-    Generator,
-)
+from matcap.field.source import FieldGenerator, Generator
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 

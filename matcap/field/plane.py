@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from matcap.errors import UsageError
 from matcap.files.settings import COORDINATE_LIMIT as COORDINATE_LIMIT
@@ -43,9 +39,12 @@ def check_period(period: Period | None, alignment: int) -> Period | None:
     """Return the period; raise UsageError unless each is a positive multiple of the alignment."""
     for length in period or ():
         if length is not None and (length <= 0 or length % alignment):
+            less, more = length // alignment * alignment, -(-length // alignment) * alignment
+            fits = f"{less} or {more}" if less > 0 else f"{max(more, alignment)}"
             raise UsageError(
-                f"the period {length} is not a positive multiple of {alignment}",
-                remedy=f"round it to a multiple of {alignment}",
+                f"a side of {length} texels cannot repeat: this material needs multiples of "
+                f"{alignment}",
+                remedy=f"give {fits}",
             )
     return period
 
@@ -73,65 +72,6 @@ class Span:
     def within(self, outer: Span) -> slice:
         """Slice of this span in an array that covers `outer`."""
         return slice(self.start - outer.start, self.stop - outer.start)
-
-
-# Exact phases of plane waves on the endless plane, in integers of 2^-64 turn.
-#
-# The phase at texel (x, y) is x * step_x + y * step_y + start, a sum of Python's integers. It has
-# no rounding error however far away a texel lies, and wraps modulo 2^64 as turns do.
-
-
-Integers = NDArray[np.int64]
-
-
-def turns_per_texel(frequency: float, period: int | None) -> int:
-    """A frequency in cycles per texel as 2^-64 turns per texel, in [-2^63, 2^63).
-
-    With a period it is the nearest frequency that makes whole cycles in it.
-    """
-    exact = frequency * 2**64
-    if period is not None:
-        exact = round(frequency * period) * 2**64 / period
-    return (round(exact) + 2**63) % 2**64 - 2**63
-
-
-def whole_turns(columns: list[int], rows: list[int]) -> Integers:
-    """(rows, columns) whole turns of column + row, both in 2^-64 turn: floor division by 2^64.
-
-    Computed from the upper and the lower 64 bits of each, with the carry between them.
-    """
-    (column_high, column_low), (row_high, row_low) = _halves(columns), _halves(rows)
-    carry = (row_low[:, None] + column_low[None, :]) < column_low[None, :]
-    return row_high[:, None] + column_high[None, :] + carry
-
-
-def _halves(values: list[int]) -> tuple[Integers, NDArray[np.uint64]]:
-    high = np.array([value >> 64 for value in values], np.int64)
-    return high, np.array([value % 2**64 for value in values], np.uint64)
-
-
-def same_cells(
-    first: Integers, second: Integers, along_x: tuple[int, int], along_y: tuple[int, int]
-) -> tuple[Integers, Integers]:
-    """One representative (first, second) for all lattice cells that a periodic field repeats.
-
-    Args:
-        first, second: whole turns of both waves, which number a cell.
-        along_x, along_y: turns of both waves in the field's period along x and along y; (0, 0)
-            along an axis without a period.
-    """
-    # Euclid's algorithm on both repeats, until the second leaves the first wave's number as it is.
-    while along_y[0]:
-        times = along_x[0] // along_y[0]
-        rest = along_x[0] - times * along_y[0], along_x[1] - times * along_y[1]
-        along_x, along_y = along_y, rest
-    if along_x[0]:
-        repeats = first // along_x[0]
-        first, second = first - repeats * along_x[0], second - repeats * along_x[1]
-        size = abs(along_y[1])
-    else:
-        size = math.gcd(along_x[1], along_y[1])
-    return first, second % size if size else second
 
 
 # The fixed grid of blocks that the plane is cut into, and the blocks that a rectangle covers.

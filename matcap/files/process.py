@@ -61,22 +61,22 @@ def ignore_signals() -> None:
 
 
 @contextmanager
-def postponed() -> Iterator[Callable[[], bool]]:
-    """Context in which neither signal interrupts, for a few seconds of work that must be complete.
+def postponed() -> Iterator[Callable[[], int]]:
+    """Context in which neither signal interrupts, for work that must be complete.
 
-    Yields a function that returns whether a signal has arrived. Signals interrupt the main thread
-    only; in other threads the context does nothing.
+    Yields a function that returns how many signals have arrived, a SIGTERM counting as two Ctrl-C.
+    Signals interrupt the main thread only; in other threads the context does nothing.
     """
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
+        yield lambda: 0
         return
     before = {which: signal.getsignal(which) for which in _BOTH}
     for which in _BOTH:
         if before[which] is not signal.SIG_IGN:
             signal.signal(which, lambda number, frame: came.append(number))
     try:
-        yield lambda: bool(came)
+        yield lambda: len(came) + came.count(signal.SIGTERM)
     finally:
         for which, handler in before.items():
             signal.signal(which, handler or signal.SIG_DFL)
@@ -91,8 +91,8 @@ def starting_children() -> Iterator[None]:
             yield
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _BOTH)
-    if came():
-        raise KeyboardInterrupt
+    for _ in range(came()):
+        signal.raise_signal(signal.SIGINT)
 
 
 def settle_child() -> None:

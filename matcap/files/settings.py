@@ -131,14 +131,17 @@ def seed(text: str | int) -> int:
     return int(text)
 
 
-def number(least: float, most: float) -> Callable[[str | float], float]:
-    """A parser of numbers in [least, most]."""
+def number(
+    least: float, most: float, kind: type[int] | type[float] = float
+) -> Callable[[str | float], float]:
+    """A parser of numbers, whole ones of kind int, in [least, most]."""
+    wanted = "a whole number" if kind is int else "a number"
 
     def parsed(text: str | float) -> float:
         try:
-            value = float(text)
+            value = kind(text)
         except ValueError:
-            raise ValueError(f"'{str(text)[:40]}' is not a number") from None
+            raise ValueError(f"'{str(text)[:40]}' is not {wanted}") from None
         if not least <= value <= most:
             raise ValueError(f"'{text}' is not from {least:g} to {most:g}")
         return value
@@ -226,6 +229,10 @@ class SettingRule:
     """Parser of what users type (of the list, if `several`); raises ValueError."""
     several: bool = False
     """Whether the option may be given several times."""
+    off: str = ""
+    """Option that switches a flag off; "" is --no- and its name."""
+    group: str = ""
+    """Group of the option in help; "" is the first."""
 
 
 def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401
@@ -377,11 +384,17 @@ def _docs_in(module: str) -> dict[str, dict[str, str]]:
     return by_class
 
 
-def nearest(name: str, words: Iterable[str]) -> str:
-    """Remedy for an unknown word: the closest known one, or the list of all."""
-    words = list(words)
-    close = difflib.get_close_matches(name.lower(), words, n=1, cutoff=0.5)
-    return f"did you mean {close[0]!r}" if close else f"choose from {', '.join(words)}"
+def nearest(name: str, words: Iterable[str], otherwise: str = "") -> str:
+    """Remedy for an unknown word: the closest known one, or the list of all.
+
+    A word that begins `name`, or that `name` begins, is close. `otherwise` follows the list.
+    """
+    words, name = list(words), name.strip().lower()
+    begun = [word for word in words if name and (word.startswith(name) or name.startswith(word))]
+    close = begun or difflib.get_close_matches(name, words, n=1, cutoff=0.5)
+    if close:
+        return f"did you mean {close[0]!r}"
+    return f"choose from {', '.join(words)} {otherwise}".rstrip()
 
 
 def known(name: str, words: Iterable[str], where: str) -> str:

@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
+Region = tuple[float, float, float, float]
+"""Left, top, width and height in shares of the picture's sides, from the upper left."""
+
 
 class Rating(Enum):
     """Rating of a photograph or a capture."""
@@ -60,6 +63,13 @@ class Finding:
     """Likely cause, if the measurement alone determines it; or ""."""
     severity: float = 0.0
     """Severity: up to 1 acceptable, 2 visible, 3 doubtful; 0 if nothing is measured."""
+    where: Region | None = None
+    """Where it is seen, in the upright picture; None if everywhere or unknown."""
+
+    @property
+    def appearance(self) -> str:
+        """Which of APPEARANCES a person sees, or the finding's own name."""
+        return next((seen for seen, keys in APPEARANCES.items() if self.name in keys), self.name)
 
     def line(self) -> str:
         """Result and remedy as sentences."""
@@ -75,6 +85,8 @@ class Finding:
             "message": sentence(self.says),
             "cause": self.cause,
             "remedy": sentence(self.remedy),
+            "appearance": self.appearance,
+            "where": None if self.where is None else [round(each, 3) for each in self.where],
         }
 
 
@@ -146,7 +158,7 @@ class QualityCheck:
             rating,
             (self.good if good and self.good else self.says).format(**words),
             "" if good else self.remedy.format(**words),
-            "" if good else self.cause,
+            "" if good else self.cause.format(**words),
             severity,
         )
 
@@ -193,6 +205,10 @@ _HIGHLIGHT = f"give --fov if you know it, or {_RETAKE}"
 
 _TABLE = (
     # Of the photograph.
+    QualityCheck(
+        "subject", "whether the picture shows a lit, flat material", "", (),
+        "{what}", "{why}", "{do}", good="the picture is filled by one lit material",
+    ),
     QualityCheck(
         "flash", "hot spot over border", "times", (1.5, 1.25, 1.12),
         "the photograph's middle is {value:.1f} times as bright as its border{fired}",
@@ -309,7 +325,7 @@ _TABLE = (
     ),
     QualityCheck(
         "texture", "distance of texture statistics", "times that between parts of the photograph",
-        (1.1, 1.5, 2.3),
+        (1.25, 1.6, 2.3),
         "the texture differs from the photograph {value:.1f} times as much as two parts of the "
         "photograph differ from each other",
         unknown="the picture is too small to compare textures",
@@ -367,6 +383,22 @@ _TABLE = (
     ),
 )  # fmt: skip
 CHECKS: Mapping[str, QualityCheck] = {check.key: check for check in _TABLE}
+
+APPEARANCES: Mapping[str, tuple[str, ...]] = {
+    "nothing to capture": ("subject",),
+    "light of the picture": ("light", "flash", "flash_offset"),
+    "highlight too weak or too strong": ("highlight_contrast", "glint_contrast", "clipped"),
+    "highlight too wide or displaced": ("highlight_width", "highlight_place", "hot_spot"),
+    "wrong colour": ("colour",),
+    "another texture": ("texture", "exemplar"),
+    "texture too soft or too coarse": ("contrast", "sharpness"),
+    "pattern broken": ("connectivity", "order"),
+    "blotch where the flash was": ("highlight_residue",),
+    "relief too flat or too steep": ("steepness", "confidence"),
+    "an uneven sample, whose marks repeat": ("stationarity",),
+    "a tilted sample": ("tilt",),
+}
+"""What a person sees, and the checks that measure it."""
 
 RESIDUES: Mapping[str, tuple[float, str]] = {
     "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),

@@ -8,29 +8,10 @@ import zlib
 from dataclasses import dataclass
 from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, BinaryIO
 
 from matcap.files.jpeg import jpeg_segments
 from matcap.files.stated_color import png_chunks, riff_chunks
-
-# Rotates pictures from portrait to landscape; files/pixels.py: by EXIF orientation.
-
-
-Scalar = TypeVar("Scalar", bound=np.generic)
-
-
-def quarter_turn(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Rotate (H, W, ...) by 90 degrees counterclockwise: the right side becomes the top."""
-    return np.rot90(picture)
-
-
-def standing(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """The inverse of quarter_turn, contiguous."""
-    return np.ascontiguousarray(np.rot90(picture, -1))
-
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
 #

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.checks import CHECKS, Finding, Rating
+from matcap.photo.checks import CHECKS, Finding, Rating, Region
 from matcap.photo.hdr_gain_map import NAME as GAIN_MAP
 from matcap.photo.left_out import (
     area_averaged,
@@ -41,6 +41,10 @@ _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a 
 # hues.
 _USUAL = (0.4, 0.6, 0.15, 0.15)
 _TILES = 8  # along the long side
+# A picture without a material: pixels across that are too few, share of pixels equal to the next,
+# deviation of log radiance in fine texture below which there is none, difference between parts.
+_SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.5, 0.003, 2.4
+_NOT_ONE = 4.0  # severity of such a picture
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 
 
@@ -80,6 +84,7 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
     return Inspection(
         photo.name,
         (
+            _subject(photo, place, falloff),
             _flash(photo, falloff),
             CHECKS["clipped"].finding(photo.clipped_share),
             _hot_spot(photo, place),
@@ -173,6 +178,36 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     return np.sqrt(total)
 
 
+def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Finding:
+    """Whether there is a material to capture; the first reason against it."""
+    pixels, check = photo.pixels, CHECKS["subject"]
+    light = _log(channel_mean(pixels))
+    fine = float((blurred(light, 1.0) - blurred(light, 8.0)).std())
+    equal = float((pixels[:, 1:] == pixels[:, :-1]).all(axis=2).mean())
+    mixed = float(np.sqrt(np.mean(np.square(unevenness(pixels, place)))))
+    height, width = pixels.shape[:2]
+    original, square = "give the photograph as the camera wrote it", "square above a flat sample"
+    if fine < _BLANK:
+        what, why = "the picture is one plain colour, without any texture", "nothing to measure"
+        do = "photograph a material with its texture in focus, lit by the flash"
+    elif equal > _EQUAL:
+        what = f"in {equal:.0%} of the picture each pixel is exactly as the next"
+        why, do = "a screenshot or a drawing, or it is far overexposed", original
+    elif falloff < CHECKS["flash"].limits[2] and not photo.flash_fired:
+        what = "there is no flash in the picture: its middle is no brighter than its border"
+        why, do = "the flash was off", f"photograph with the flash on, in a dark room, {square}"
+    elif mixed > _MIXED:
+        what = "no flat, even material fills the picture: its parts differ like several things"
+        why = "an object, a face, or several materials"
+        do = f"photograph {square}, so that nothing else is in the picture, or give --crop"
+    elif max(width, height) < _SMALL:
+        what, why = f"{width} x {height} pixels are few for a material", "a thumbnail"
+        return check.rated(True, Rating.NOT_JUDGED, what=what, why=why, do=original)
+    else:
+        return check.rated(True, Rating.GOOD)
+    return check.rated(False, Rating.FAILED, _NOT_ONE, what=what, why=why, do=do)
+
+
 def _flash(photo: Photo, falloff: float) -> Finding:
     # Metadata may be wrong, and matte materials far from the flash have little falloff: use both.
     fired = photo.flash_fired
@@ -197,7 +232,7 @@ def _border(photo: Photo) -> tuple[Finding, ...]:
 
 def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
     x, y = _upright(photo, *place)
-    says = f"{_whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above"
+    says = f"{whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above"
     finding = CHECKS["hot_spot"].finding(min(x, 1.0 - x, y, 1.0 - y), where=says)
     return replace(finding, value=[round(x, 4), round(y, 4)])
 
@@ -226,8 +261,10 @@ def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
     tiles = unevenness(photo.pixels, place)
     rows, columns = tiles.shape
     row, column = divmod(int(tiles.argmax()), columns)
-    where = _whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
-    return CHECKS["stationarity"].finding(float(np.sqrt(np.mean(tiles**2))), where=where)
+    where = whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
+    finding = CHECKS["stationarity"].finding(float(np.sqrt(np.mean(tiles**2))), where=where)
+    tile = (column / columns, row / rows, 1.0 / columns, 1.0 / rows)
+    return replace(finding, where=upright_region(photo, tile))
 
 
 def _radiometric(photo: Photo) -> Finding:
@@ -276,7 +313,13 @@ def _upright(photo: Photo, x: float, y: float) -> tuple[float, float]:
     return (1.0 - y, x) if photo.turned else (x, y)
 
 
-def _whereabouts(x: float, y: float) -> str:
+def upright_region(photo: Photo, region: Region) -> Region:
+    """A region of photo.pixels in the upright picture."""
+    left, top, width, height = region
+    return (1.0 - top - height, left, height, width) if photo.turned else region
+
+
+def whereabouts(x: float, y: float) -> str:
     """A position in shares from the upper left, as text."""
     across = "left" if x < 1 / 3 else "right" if x > 2 / 3 else ""
     down = "upper" if y < 1 / 3 else "lower" if y > 2 / 3 else ""

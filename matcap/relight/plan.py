@@ -28,23 +28,6 @@ from matcap.relight.scene import (
 )
 from matcap.relight.texture import Texture, alpha_of
 
-# Upper bound on the change from leaving an effect out.
-
-
-# Largest change from leaving effects out, by default: half an 8-bit step, in code values [0, 1].
-DEFAULT_TOLERANCE = 0.5 / 255.0
-
-
-@dataclass(frozen=True)
-class Bound:
-    """An upper bound on the change of a picture."""
-
-    radiance: float
-    """Largest change of any channel of any pixel; may be infinite."""
-    reason: str
-    """The quantity that decides it, in a few words, for the table of the plan."""
-
-
 # Record of a picture's rendering: the tiles in which each effect ran, and the seconds it took.
 
 

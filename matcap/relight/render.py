@@ -20,19 +20,11 @@ from matcap.files.process import cores
 from matcap.relight.block import Block, Hits, ShadingContext, Shape
 from matcap.relight.camera import Array, View, view_of
 from matcap.relight.effects import area, direct, environment
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.effects.entries import EFFECTS
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
-from matcap.relight.plan import (
-    DEFAULT_TOLERANCE,
-    TILE,
-    Budget,
-    Plan,
-    SceneBounds,
-    Step,
-    Tally,
-    gather,
-)
+from matcap.relight.plan import TILE, Budget, Plan, SceneBounds, Step, Tally, gather
 from matcap.relight.relief import Horizons, Relief
 from matcap.relight.scene import (
     EnvironmentLight,

@@ -1,4 +1,8 @@
-"""Scenes: film, camera, surface and lights; the scene of a photograph."""
+"""Scenes: film, camera, surface and lights, as plain values.
+
+Lengths are in plane units (half a photograph's long side), angles in degrees, colours linear
+Rec.709. x points right, y up, z towards the camera; the plane is z = 0. scenefile.py reads files.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import torch
-
 from matcap.errors import MatcapError, UsageError
-from matcap.files.settings import BRIGHTEST
-from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, to_upright, unproject
-
-# Scenes: film, camera, surface and lights, as plain values.
-#
-# Lengths are in plane units (half a photograph's long side), angles in degrees, colours linear
-# Rec.709. x points right, y up, z towards the camera; the plane is z = 0. scenefile.py reads files.
-
+from matcap.files.settings import BRIGHTEST, nearest
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float]
@@ -183,6 +178,8 @@ NAMED_LIGHTS: dict[str, Vector] = {
     "flash": Camera().position,
     "top": (0.0, 2.0, 1.2),
     "left": (-2.0, 0.0, 1.2),
+    "right": (2.0, 0.0, 1.2),
+    "bottom": (0.0, -2.0, 1.2),
 }
 
 
@@ -200,7 +197,7 @@ def scene_from_light(text: str) -> Scene:
     """A scene with the maps' own extent, from straight above, under one point light.
 
     Args:
-        text: a named light (flash, top, left), or "x,y,z" or "x,y,z,intensity" in plane units;
+        text: a key of NAMED_LIGHTS, or "x,y,z" or "x,y,z,intensity" in plane units;
             the default intensity is exposing_intensity.
 
     Raises:
@@ -220,7 +217,7 @@ _FARTHEST, _STRONGEST = 1e4, 1e9
 
 
 def _parse_light(text: str) -> tuple[Vector, float]:
-    remedy = f"give {', '.join(NAMED_LIGHTS)} or x,y,z[,intensity] such as -1,1,2"
+    remedy = nearest(text, NAMED_LIGHTS, "or x,y,z[,intensity] such as -1,1,2")
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
@@ -276,51 +273,3 @@ def _colour(light: Light) -> Colour:
     if isinstance(light, EnvironmentLight) and light.file is not None:
         return (light.scale,) * 3
     return light.radiance
-
-
-# The scene of a photograph: its camera and flash, for a picture to compare with it.
-#
-# The same geometry as matcap.flash.light. FlashSetup's intensity includes the exposure, so
-# radiance 1 is the photograph's white.
-
-
-def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene:
-    """The scene with the photograph's camera and its flash as a point light.
-
-    Args:
-        film: of the picture, with the photograph's aspect ratio.
-        endless: extend the plane to all that the camera sees; else it is the maps' rectangle.
-    """
-    place, light = (_vector(to_upright(setup, one)) for one in camera_in_plane(setup))
-    # `turned`: the photograph is a portrait, so its up is the landscape's left.
-    above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
-    up = _vector(
-        to_upright(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64))
-    )
-    middle = _vector(to_upright(setup, torch.tensor([*setup.vignetting_centre, 0.0])))
-    camera = Camera(
-        "perspective",
-        place,
-        fov=setup.fov,
-        up=up,
-        vignetting=setup.vignetting,
-        vignetting_quartic=setup.vignetting_quartic,
-        vignetting_centre=(middle[0], middle[1]),
-    )
-    surface = Surface(size=_seen(setup, film) if endless else None)
-    return Scene(film, camera, surface, (PointLight(light, setup.intensity),))
-
-
-def _seen(setup: FlashSetup, film: Film) -> float:
-    """Side of a square around the origin that holds all that the picture shows of the plane."""
-    long = max(film.width, film.height)
-    x, y = film.width / long, film.height / long
-    if setup.turned:
-        x, y = y, x
-    corners = torch.tensor([[-x, x, -x, x], [y, y, -y, -y]], dtype=torch.float64)
-    return 2.0 * float(unproject(corners, setup)[:2].abs().max())
-
-
-def _vector(tensor: torch.Tensor) -> Vector:
-    x, y, z = tensor.tolist()
-    return x, y, z

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import nearest
-from matcap.relight.plan import DEFAULT_TOLERANCE, Plan
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.plan import Plan
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     NAMED_LIGHTS,
@@ -344,7 +345,7 @@ def preset(name: str) -> Scene:
         return scene_from_light(name)
     if name not in SCENES:
         raise UsageError.at(
-            name, "there is no such scene", f"give a .toml file or {', '.join(PRESETS)}"
+            name, "there is no such scene", nearest(name, PRESETS, "or a .toml file")
         )
     return SCENES[name]
 
@@ -428,17 +429,21 @@ def light_sheet(
     *,
     tolerance: float = DEFAULT_TOLERANCE,
     effects: str = "auto",
+    progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[NDArray[np.float32], Plan]:
     """Render the material under each of sheet_lights(), instead of the scene's own lights.
+
+    `progress` is called with the share done, in [0, 1], after each.
 
     Returns:
         (rows H, columns W, 3) radiance, and the last picture's plan.
     """
     scene = renderer.scene
-    renderings = [
-        renderer.render(replace(scene, lights=(light,)), tolerance=tolerance, effects=effects)
-        for light in sheet_lights(columns, rows)
-    ]
+    renderings = []
+    for number, light in enumerate(sheet_lights(columns, rows), 1):
+        lit = replace(scene, lights=(light,))
+        renderings.append(renderer.render(lit, tolerance=tolerance, effects=effects))
+        progress(number / (columns * rows))
     pictures = [one.radiance for one in renderings]
     lines = [np.hstack(pictures[i : i + columns]) for i in range(0, len(pictures), columns)]
     return np.vstack(lines), renderings[-1].plan

@@ -301,7 +301,7 @@ def _parse(lines: list[str], where: str) -> tuple[Array, Array, Array, Array]:
         except (ValueError, IndexError) as error:
             raise MatcapError.at(
                 where,
-                f"line {number} is no valid '{words[0]}' ({error})",
+                f"line {number} is no valid '{words[0]}'",
                 "export the mesh again as OBJ",
             ) from error
     if not faces:

@@ -83,7 +83,7 @@ class Texture:
             ValueError: the maps have batch dimensions.
             MatcapError: heights that single precision cannot hold (check_heights).
         """
-        from matcap.brdf.maps import check_heights
+        from matcap.brdf.edited import check_heights
 
         if maps.height.ndim != 3:
             raise ValueError("maps with batch dimensions cannot be rendered: pass one map set")

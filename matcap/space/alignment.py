@@ -369,6 +369,4 @@ def load_alignment(path: Path) -> Alignment:
                 raise MatcapError.at(path, f"this is not an alignment branch ({_FORMAT})", _REMEDY)
             return StoredTensors(file, path, _REMEDY).load(Alignment())
     except (SafetensorError, OSError) as error:
-        raise MatcapError.at(
-            path, f"the alignment branch cannot be read ({error})", _REMEDY
-        ) from error
+        raise MatcapError.at(path, "the alignment branch cannot be read", _REMEDY) from error

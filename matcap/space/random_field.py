@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.field.plane import Integers, Period, Rectangle, same_cells, turns_per_texel, whole_turns
+from matcap.field.plane import Period, Rectangle
+from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
 from matcap.statistics.lattice import Wave
 
 # A rectangle of one realisation of the random field, at a mip level.

@@ -21,8 +21,8 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.edited import check_heights
 from matcap.brdf.folder import coded, height_range
-from matcap.brdf.maps import check_heights
 from matcap.field.plane import BlockPart, Rectangle
 from matcap.files.color import REC709, srgb_picture
 from matcap.files.exr import check_representable

@@ -31,11 +31,8 @@ from matcap.synth.pictures import (
     write_map,
     write_png,
 )
-from matcap.synth.request import (
+from matcap.synth.plan import (
     PlannedMapSet,
-    SynthProgress,
-    SynthRequest,
-    Work,
     bytes_of,
     check_request,
     document_of,
@@ -44,12 +41,13 @@ from matcap.synth.request import (
     open_field,
     wrap_modes,
 )
+from matcap.synth.request import SynthProgress, SynthRequest, Work
 from matcap.synth.workers import BlockResult, Job, WorkerPool, worker_pool
 
 if TYPE_CHECKING:
     from matcap.field.plane import BlockPart
     from matcap.field.source import Source
-    from matcap.synth.request import OpenedField
+    from matcap.synth.plan import OpenedField
 
 
 # Staging folder of a run that can be resumed.

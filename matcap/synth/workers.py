@@ -20,7 +20,7 @@ from matcap.field.plane import BlockPart
 from matcap.field.source import compute_alone, single_threaded
 from matcap.files.process import Cluster, WorkerLost, keep_memory, settle_child, starting_children
 from matcap.synth.pictures import lit_from_top, texels_of
-from matcap.synth.request import PlannedMapSet
+from matcap.synth.plan import PlannedMapSet
 
 if TYPE_CHECKING:
     from matcap.field.source import Source

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.field.field import Field
 from matcap.field.plane import Rectangle
-from matcap.field.source import Field
 
 if TYPE_CHECKING:
     from matcap.example.coordinates import Places

@@ -18,7 +18,7 @@ from matcap.example.example import Example
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.files.names import read_document
 from matcap.files.pixels import jpeg_bytes, png_bytes
-from matcap.photo.load import RAW_SUFFIXES
+from matcap.photo.kind import RAW_SUFFIXES
 from matcap.view.level_of_detail import (
     ALBEDO,
     ALPHA2,
@@ -285,8 +285,8 @@ def browser_picture(
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
     """
-    from matcap.photo.exif import standing
     from matcap.photo.load import load_photo
+    from matcap.photo.orient import standing
 
     photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
     photo = photo if tone is None else photo.linearised(tone)

@@ -13,8 +13,6 @@ from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Rectangle
-from matcap.files import settings as values
-from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
@@ -27,29 +25,6 @@ if TYPE_CHECKING:
         Planes,
         Pyramid,
     )
-
-
-# Options of `matcap view`.
-
-
-@dataclass(frozen=True)
-class ViewOptions(CheckedSettings):
-    """Options of `matcap view`."""
-
-    blend: Path | None = setting(None, metavar="FILE")
-    """A second material to compare and blend with."""
-    photo: Path | None = setting(None, metavar="FILE", otherwise="that of the folder")
-    """A photograph to show next to the material."""
-    seed: int = setting(0, metavar="SEED", parse=values.seed)
-    """Seed of the realisation shown first."""
-    port: int = setting(0, least=0, most=65535, otherwise="a free one")
-    """Port of the server."""
-    opens: bool = setting(True, option="open")
-    """Open the page in the browser."""
-    html: Path | None = setting(None, metavar="FILE")
-    """Write a self-contained HTML file instead of running a server."""
-    tile: int = setting(512, least=16, most=2048)
-    """Side of the seamless tile in --html, in texels, a multiple of 16."""
 
 
 # Subjects of the page: a material, a blend of two, or a map set.

@@ -206,18 +206,27 @@ def test_a_full_disk_is_noticed_before_a_capture_starts(batch, monkeypatch):
     assert not workers.jobs and set(states(entries).values()) == {"left"}
 
 
-def test_an_interrupt_stops_the_workers_and_leaves_the_rest(shoot, tmp_path):
-    def answer(job):
-        if job.name == "b":
-            raise KeyboardInterrupt
-        return True
+@pytest.mark.parametrize(
+    ("signals", "second"),
+    [((signal.SIGINT,), "made"), ((signal.SIGINT,) * 2, "left"), ((signal.SIGTERM,), "left")],
+)
+def test_the_first_interrupt_finishes_what_runs_and_the_second_ends_it(
+    shoot, tmp_path, signals, second
+):
+    class Interrupted(FakeWorkers):
+        def start(self, job):
+            super().start(job)
+            for number in signals if job.name == "b" else ():
+                signal.raise_signal(number)
 
-    workers, pages = FakeWorkers(answer, size=1), []
+    workers, pages = Interrupted(lambda job: True, size=1), []
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     entries = make_plan(find_samples(shoot), tmp_path / "out", SETTINGS, Policy(), prior="p")
     with open_run(tmp_path / "out") as run, pytest.raises(KeyboardInterrupt):
         Batch(entries, run, workers, SETTINGS, Policy(), Watcher(), lambda: pages.append(1)).go()
+    signal.signal(signal.SIGINT, handler)
     assert workers.closed and pages
-    assert states(entries) == {"a": "made", "b": "left", "c": "left", "d": "left"}
+    assert states(entries) == {"a": "made", "b": second, "c": "left", "d": "left"}
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,10 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
 
 
 CHANGES = {
+    "maps": "png",
+    "metal": False,
+    "albedo": 0.2,
+    "roughness": 0.3,
     "preset": "draft", "steps": 7, "time": 5.0, "detail": 77, "fov": 30.0, "seed": 3,
     "size": (64, 32), "tile": True, "png": True, "normal": "dx",
     "export": ("gltf",), "statistics": "vgg19=weights.pth", "generator": "decoder", "aligned": True,

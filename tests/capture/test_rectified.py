@@ -33,8 +33,9 @@ from matcap.field.opened import open_photographed
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup, Margins
 from matcap.flash.rectify import plane_of
+from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import relight
-from matcap.relight.scene import Film, photographed_scene
+from matcap.relight.scene import Film
 from matcap.space.alignment import TiltMeasurement
 from matcap.statistics.lattice import Lattice, Wave
 

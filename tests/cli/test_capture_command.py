@@ -22,7 +22,16 @@ from matcap.capture import report as outputs
 from matcap.capture.report import report as report_report
 from matcap.capture.report import warnings, write_report
 from matcap.capture.result import Tuning
-from matcap.capture.settings import DECODER_STAGES, EXEMPLAR_STAGES, CaptureClock, CaptureSettings
+from matcap.capture.settings import (
+    DECODER_STAGES,
+    DRAWING_STAGES,
+    EXEMPLAR_STAGES,
+    MULTIVIEW_STAGES,
+    SHOWN_STAGES,
+    CaptureClock,
+    CaptureSettings,
+)
+from matcap.cli.display import ShareDisplay
 from matcap.errors import UsageError
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup
@@ -63,6 +72,40 @@ def test_options_reach_the_pipeline(matcap, pipeline, photo, out):
     assert (asked.detail, asked.fov, asked.seed, asked.prior) == (512, 60.0, 3, "none")
 
 
+def test_properties_known_by_hand_reach_the_pipeline_and_the_report(matcap, pipeline, photo, out):
+    said = matcap(
+        "capture", photo, "-o", out, "--dielectric", "--albedo", "0.18", "--roughness", "0.4"
+    )  # fmt: skip
+    assert said.code == 0
+    settings = pipeline.calls[-1].settings
+    assert (settings.metal, settings.albedo, settings.roughness) == (False, 0.18, 0.4)
+    report = json.loads((out / "leather" / "report.json").read_text())
+    assert report["settings"]["metal"] is False and report["settings"]["albedo"] == 0.18
+    assert "metal" not in CaptureSettings().named()
+
+
+def test_properties_by_hand_are_of_one_photograph(matcap, pipeline, photo, out):
+    other = photo.with_name("other.dng")
+    other.write_text("a photograph")
+    said = matcap("capture", photo, other, "--together", "-o", out, "--albedo", "0.18")
+    assert said.code == 2 and "--albedo: this is of one photograph" in said.err
+    assert matcap("capture", photo, "-o", out, "--albedo", "3").code == 2
+
+
+@pytest.mark.parametrize("form", ["png", "jpg"])
+def test_maps_for_engines_stand_in_a_folder(matcap, pipeline, photo, out, form):
+    assert matcap("capture", photo, "-o", out, "--size", "32", "--maps", form).code == 0
+    files = {path.name for path in (out / "leather" / "maps").iterdir()}
+    kinds = ("basecolor", "metallic", "roughness", "ambientocclusion")
+    assert {f"leather_{kind}.{form}" for kind in kinds} <= files
+    assert "leather_height.png" in files and any("normal_gl" in name for name in files)
+
+
+def test_a_time_limit_below_the_shortest_capture_is_said_at_once(matcap, pipeline, photo, out):
+    said = matcap("capture", photo, "-o", out, "--time", "5s")
+    assert said.code == 0 and "the shortest capture takes about 10 s" in said.err.splitlines()[0]
+
+
 def test_pngs_and_directx_normals(matcap, pipeline, photo, out):
     assert matcap("capture", photo, "-o", out, "--size", 16, "--png", "--normal", "dx").code == 0
     assert set(mapset_files("leather")) <= {f.name for f in (out / "leather").iterdir()}
@@ -86,7 +129,7 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     tuning = report["tuning"]
     assert tuning["error"] == 0.5 and tuning["relative_error"] == 2.0
     assert report["error"] == {"exemplar": None, "field": None}  # too small a picture
-    assert "flash did not fire" in report["verdict"]["sentence"]
+    assert "one plain colour" in report["verdict"]["sentence"]
     assert tuning["error_over_time"][0] == {"seconds": 0.5, "step": 1, "error": 0.9}
     assert report["stage_seconds"] == {"coarse fit": 0.5, "fine-tuning": 0.5}
     assert report["camera"]["tilt_degrees"] == [0.0, 0.0]
@@ -99,7 +142,10 @@ def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
 ):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
-    assert "failed: the photograph's middle is 1.0 times as bright as its border" in said.err
+    assert (
+        "failed: nothing to capture: the picture is one plain colour, without any texture"
+        in said.err
+    )
     assert "error" not in said.err
     again = ("--size", 16, "--strict", "--overwrite")
     assert matcap("capture", photo, "-o", out, *again).code == 3
@@ -117,9 +163,26 @@ def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
 
 def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16)
-    assert "index" in said.err
+    assert "preparing the texture" in said.err
     assert "\x1b" not in said.err
     assert len(said.err.splitlines()) == 4  # two stages, what was made, the verdict
+
+
+def test_every_stage_is_shown_in_words(matcap, pipeline, photo, out):
+    for stages in (EXEMPLAR_STAGES, MULTIVIEW_STAGES, DECODER_STAGES, DRAWING_STAGES):
+        assert set(stages) <= set(SHOWN_STAGES)
+    said = matcap("capture", photo, "-o", out)
+    assert "preparing the texture" in said.err and "index" not in said.err
+
+
+def test_long_work_is_shown_by_lines_where_there_is_no_terminal(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr("matcap.cli.display.time.monotonic", lambda: now[0])
+    with ShareDisplay.open(quiet=False) as shown:
+        shown.progress(0.1, "blending")
+        now[0] = 11.0
+        shown.progress(0.4, "blending")
+    assert capsys.readouterr().err.split() == ["40.0%", "blending"]
 
 
 def test_what_was_noticed_when_reading_is_said(matcap, pipeline, photo, out):

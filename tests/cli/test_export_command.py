@@ -114,7 +114,7 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], 2, "there is no target; give one with --to"),
+        ([], 2, "--to: there is no target; choose from materialx, usd, gltf, "),
         (["--to", "raw", "--name", "{map:>999999999}"], 2, "without a width or a conversion"),
         (["--to", "raw", "--name", "{map!r}"], 2, "without a width or a conversion"),
         (["--to", "raw", "--name", "../{map}"], 2, "it leads to another folder"),
@@ -123,6 +123,7 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
         (["--to", "usd", "--seed", "9" * 25], 2, "is out of range"),
         (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
+        (["--to", "unreal-engine"], 2, "did you mean 'unreal'."),
         (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
         (
             ["--to", "usd", "--name", "{map}"],

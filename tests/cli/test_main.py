@@ -71,6 +71,17 @@ def test_every_command_explains_itself(matcap, command):
     assert "Usage: matcap" in said.out
 
 
+def test_help_of_capture_begins_with_everyday_options(matcap):
+    lines = matcap("capture", "--help").out.splitlines()
+    everyday, following = (
+        next(i for i, line in enumerate(lines) if f"─ {name} ─" in line)
+        for name in ("Everyday", "Several photographs")
+    )
+    assert everyday < following < 40 and len(lines) < 150
+    assert any("--out" in line for line in lines[everyday:following])
+    assert not any("<=" in line for line in lines)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -217,7 +228,7 @@ def test_dumb_terminals_get_plain_lines(matcap, pipeline, photo, tmp_path, monke
     monkeypatch.setenv("TERM", "dumb")
     said = matcap("capture", photo, "-o", tmp_path / "out", "--size", "16")
     assert said.code == 0
-    assert "index" in said.err
+    assert "preparing the texture" in said.err
     assert "\x1b" not in said.err
 
 

@@ -12,9 +12,9 @@ from materials import a_material
 
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.brdf.maps import MapSet
+from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import BLOCK
-from matcap.field.source import Field
 from matcap.files.exr import read_exr
 
 # `matcap synth`: what it writes and what it refuses, with a small real material.
@@ -107,7 +107,7 @@ def test_failures_leave_nothing(matcap, material, tmp_path):
         (["none.matcap", "-o", "set"], "none.matcap: there is no such file", 3),
         ([material, "-o", "set", "--size", "100000000x10000"], "are needed but the disk has", 3),
         ([material, "-o", "set", "--size", "99999999999x5"], "more than an OpenEXR file holds", 2),
-        ([material, "-o", "set", "--tile", "--size", "100"], "round it to a multiple of 16", 2),
+        ([material, "-o", "set", "--tile", "--size", "100"], "give 96 or 112", 2),
         ([material, "-o", "set", "--udim", "11x1"], "at most 10 columns", 2),
         (
             [material, "-o", "set", "--like", "photo.jpg"],
@@ -216,3 +216,10 @@ def test_failures_are_sentences_and_leave_nothing(matcap, folder, arguments, cod
     assert said in found.err
     assert found.err.count("\n") == 1
     assert sorted(folder.iterdir()) == before
+
+
+def test_messages_of_libraries_do_not_reach_the_user(matcap, tmp_path):
+    (tmp_path / "broken.matcap").write_bytes(b"not safetensors at all")
+    said = matcap("synth", tmp_path / "broken.matcap", "-o", tmp_path / "out")
+    assert said.code == 3 and "this is not a material, or it is damaged" in said.err
+    assert "header" not in said.err and "deserializing" not in said.err

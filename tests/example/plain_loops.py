@@ -23,7 +23,8 @@ from matcap.example.coordinates import (
     Places,
     margin,
 )
-from matcap.example.index import COST_BITS, Level
+from matcap.example.grids import COST_BITS
+from matcap.example.index import Level
 from matcap.example.lattice import Phases
 
 DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))

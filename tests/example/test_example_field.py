@@ -17,9 +17,10 @@ from matcap.example.blend import BAND_LEVELS, BANDS, ExemplarBands, Nodes, Votes
 from matcap.example.candidates import DIMENSIONS, LARGEST, LIMIT, PLANES, TAPS, Basis, project
 from matcap.example.coordinates import coordinates, correct
 from matcap.example.example import Example, coarsened
-from matcap.example.index import COST_BITS, PENALTY_BITS, Frame, Level, build_index, prepare
+from matcap.example.grids import COST_BITS, Frame
+from matcap.example.index import PENALTY_BITS, Level, build_index, prepare
+from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle
-from matcap.field.source import read_source
 
 # The field by example is one function of texel and seed, made of the exemplar's own pieces.
 
@@ -81,7 +82,7 @@ def test_a_field_repeats_exactly_where_it_is_asked_to(example, period):
 
 
 def test_periods_and_seeds_out_of_range_are_refused():
-    with pytest.raises(UsageError, match="multiple of"):
+    with pytest.raises(UsageError, match="multiples of"):
         an_example().source(0, (an_example().alignment + 1, None))
     with pytest.raises(UsageError, match="seed"):
         an_example().source(2**63)

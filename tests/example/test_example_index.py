@@ -25,7 +25,8 @@ from matcap.example.coordinates import correct
 from matcap.example.example import Example, summary
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.index import PatchSizes, prepare
+from matcap.example.grids import PatchSizes
+from matcap.example.index import prepare
 from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
 from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety
 from matcap.field.material import Material

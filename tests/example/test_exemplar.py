@@ -19,9 +19,9 @@ from matcap.example.candidates import choose_scale, features_of, planes_of
 from matcap.example.example import Example
 from matcap.example.exemplar import SPECULAR, Exemplar
 from matcap.example.repeat import flatten
+from matcap.field.field import read_source
 from matcap.field.material import Material
 from matcap.field.plane import Grid, Rectangle
-from matcap.field.source import read_source
 
 # An exemplar survives its file, and a broken file is told from a whole one.
 

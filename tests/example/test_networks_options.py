@@ -8,7 +8,8 @@ from materials import a_material
 
 from matcap.errors import UsageError
 from matcap.space.random_field import Rectangle
-from matcap.synth.request import SynthRequest, open_field
+from matcap.synth.plan import open_field
+from matcap.synth.request import SynthRequest
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from exemplars import an_example, exemplar
 from matcap.example.candidates import planes_of
 from matcap.example.evenness import trend_penalty
 from matcap.example.example import Example
-from matcap.example.index import Frame
+from matcap.example.grids import Frame
 from matcap.example.placement import PatchNumbers, Placement, reuse_cost, spread_patches
 from matcap.field.plane import Rectangle
 

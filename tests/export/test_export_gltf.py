@@ -13,9 +13,9 @@ from target_surfaces import residual
 
 from matcap.brdf.maps import MapSet
 from matcap.export.job import ExportJob
+from matcap.export.options import ExportOptions
 from matcap.export.targets import write_export
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import ExportOptions
 from matcap.export.textures import picture as plain
 
 # The glTF binary: its light, its plane, and Khronos's validator.

@@ -14,9 +14,9 @@ from random_maps import random_maps
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.export.job import ExportJob
+from matcap.export.options import ExportOptions
 from matcap.export.shading import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
-from matcap.export.textures import ExportOptions
 from matcap.export.workflows import (
     FORMS,
     ErrorWeights,

@@ -17,11 +17,11 @@ from torus import WAVES, both, noisy
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
+from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.opened import open_tile
 from matcap.field.options import ReadOptions
 from matcap.field.plane import Rectangle
-from matcap.field.source import Field
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.freeze import Drawing, reference_field
 from matcap.space.random_field import Patch, noise_field, wave_field

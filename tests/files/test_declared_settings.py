@@ -21,7 +21,7 @@ from matcap.batch.samples import BatchSettings
 from matcap.capture.settings import CaptureSettings, InspectSettings, OutputSettings
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
-from matcap.export.textures import ExportArea, ExportOptions
+from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import BlendOptions, DrawOptions, ReadOptions, SampleOptions
 from matcap.files.names import (
     StagedFolder,
@@ -44,9 +44,9 @@ from matcap.files.settings import (
     size,
 )
 from matcap.files.tensors import write_tensors
-from matcap.relight.output import RelightOptions
+from matcap.relight.options import RelightOptions
 from matcap.synth.request import SynthArea, SynthRequest, Work
-from matcap.view.subject import ViewOptions
+from matcap.view.options import ViewOptions
 
 # Settings are told once, and mean the same from Python, from a file and from the command line.
 
@@ -105,6 +105,7 @@ def test_python_and_the_command_line_refuse_alike(capsys):
 
 def test_the_nearest_word_or_all_there_are():
     assert nearest("prest", ["preset", "steps"]) == "did you mean 'preset'"
+    assert nearest("unity", ["raw", "unity-hdrp", "unity-urp"]) == "did you mean 'unity-hdrp'"
     assert nearest("qqqq", ["preset", "steps"]) == "choose from preset, steps"
 
 

@@ -11,12 +11,7 @@ from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
 from matcap.files.pixels import upright
-from matcap.photo.exif import (
-    Exif,
-    fov_of_film,
-    phone_fov,
-    read_exif,
-)
+from matcap.photo.exif import Exif, fov_of_film, phone_fov, read_exif
 from matcap.photo.load import load_photo
 
 ORIENTATION, EXIF_IFD, FOCAL_LENGTH_35, FLASH = 0x0112, 0x8769, 0xA405, 0x9209

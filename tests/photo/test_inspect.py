@@ -238,6 +238,17 @@ def test_the_command_speaks_in_lines(shots, tmp_path, capsys):
     assert "square to the sample" in out and "albedo is relative" in out
 
 
+def test_a_folder_is_a_line_a_photograph(shots, tmp_path, capsys):
+    write_jpeg(tmp_path / "a.jpg", shots["granite", 0], 1)
+    Image.fromarray(np.full((300, 400, 3), 90, np.uint8)).save(tmp_path / "plain.png")
+    assert main(["inspect", str(tmp_path)]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert "a.jpg: " in first
+    assert second.startswith("!  plain.png: failed: The picture is one plain colour")
+    assert main(["inspect", str(tmp_path), "--details"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 12
+
+
 # The calibration card of examples/card.pdf: photographed (simulated), and read back.
 
 

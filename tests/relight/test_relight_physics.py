@@ -17,8 +17,8 @@ from matcap.brdf.maps import MapSet
 from matcap.relight.camera import dot, vec
 from matcap.relight.effects import multiscatter
 from matcap.relight.effects import relief as parallax
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.environment_map import albedo
-from matcap.relight.plan import DEFAULT_TOLERANCE
 from matcap.relight.relief import Horizons, Relief
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (

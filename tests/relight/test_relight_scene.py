@@ -21,7 +21,8 @@ from matcap.files.color import srgb_encode, srgb_picture
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.light import render_flash, render_rectified
-from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
     NAMED_LIGHTS,
@@ -32,7 +33,6 @@ from matcap.relight.scene import (
     RectangleLight,
     Scene,
     Surface,
-    photographed_scene,
     scene_from_light,
 )
 from matcap.relight.scenefile import PRESETS, parse_scene, preset, read_scene
@@ -171,8 +171,19 @@ def test_a_light_in_numbers():
 
 @pytest.mark.parametrize("text", ["", "sun", "1,2", "1,2,3,4,5", "a,b,c", "0,0,nan", "0,0,inf"])
 def test_what_is_no_light(text):
-    with pytest.raises(UsageError, match="is not a light; give flash, top, left or x,y,z"):
+    with pytest.raises(UsageError, match="is not a light; choose from flash, .*bottom or x,y,z"):
         scene_from_light(text)
+
+
+@pytest.mark.parametrize(("one", "other"), [("left", "right"), ("top", "bottom")])
+def test_named_lights_come_from_all_four_sides(one, other):
+    (x, y, z), (u, v, w) = NAMED_LIGHTS[one], NAMED_LIGHTS[other]
+    assert (x, y, z) == (-u, -v, w)
+
+
+def test_a_misspelt_light_finds_the_name_that_is_meant():
+    with pytest.raises(UsageError, match="did you mean 'right'"):
+        scene_from_light("rigth")
 
 
 @pytest.mark.parametrize(("text", "message"), [("0,1,0", "above"), ("0,1,2,-1", "negative")])

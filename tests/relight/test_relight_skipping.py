@@ -22,8 +22,9 @@ from matcap.relight import render
 from matcap.relight import render as planning
 from matcap.relight.effects import area
 from matcap.relight.effects import relief as parallax
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.effects.entries import Effect
-from matcap.relight.plan import DEFAULT_TOLERANCE, TILE, Bound, Budget, Tally
+from matcap.relight.plan import TILE, Budget, Tally
 from matcap.relight.relief import Relief
 from matcap.relight.render import (
     EFFECTS,

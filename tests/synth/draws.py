@@ -10,16 +10,13 @@ from pathlib import Path
 
 import torch
 
+from matcap.field.field import read_source
 from matcap.field.plane import (
     Grid,
     Rectangle,
     block_parts,
 )
-from matcap.field.source import (
-    inner,
-    read_source,
-    single_threaded,
-)
+from matcap.field.source import inner, single_threaded
 
 PLACES = (0, 2**31, 2**40)
 

@@ -10,9 +10,9 @@ import sys
 
 import numpy as np
 
+from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import Span
-from matcap.field.source import Field
 from matcap.space.freeze import spans_of
 from matcap.space.tuned import TunedDecoder
 

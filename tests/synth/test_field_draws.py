@@ -15,9 +15,9 @@ from repetition import correlations
 
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.cli.main import main
+from matcap.field.field import Field
 from matcap.field.material import Material
 from matcap.field.plane import BLOCK, Rectangle
-from matcap.field.source import Field
 from matcap.files.exr import read_exr
 from matcap.relight.render import Renderer
 from matcap.relight.scene import Camera, DirectionalLight, Film, Scene, Surface

@@ -19,11 +19,13 @@ import torch
 
 from matcap.brdf.folder import MapSetInfo, read_mapset
 from matcap.errors import MatcapError, UsageError
+from matcap.field.device import find_device, repeatable
+from matcap.field.field import Field, read_source
 from matcap.field.plane import Grid, Rectangle
-from matcap.field.source import Field, find_device, read_source, repeatable
 from matcap.space.tuned import DecoderSource
 from matcap.synth import workers
-from matcap.synth.request import OpenedField, SynthRequest, Work
+from matcap.synth.plan import OpenedField
+from matcap.synth.request import SynthRequest, Work
 from matcap.synth.stream import synthesise, write_field
 from matcap.synth.workers import rendered
 

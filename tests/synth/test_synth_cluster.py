@@ -11,11 +11,8 @@ import pytest
 from matcap.brdf.folder import MapSetInfo
 from matcap.errors import MatcapError
 from matcap.field.plane import Grid, Rectangle
-from matcap.synth.request import (
-    OpenedField,
-    SynthRequest,
-    Work,
-)
+from matcap.synth.plan import OpenedField
+from matcap.synth.request import SynthRequest, Work
 from matcap.synth.stream import write_field
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `cluster`")

@@ -18,8 +18,8 @@ from random_maps import random_maps
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.errors import MatcapError
 from matcap.example.example import Example
+from matcap.field.field import Field
 from matcap.field.plane import Rectangle
-from matcap.field.source import Field
 from matcap.files.exr import write_exr
 from matcap.view.document import (
     SCRIPTS,

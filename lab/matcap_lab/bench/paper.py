@@ -32,16 +32,13 @@ from matcap.brdf.maps import (
     MapSet,
     with_colour,
 )
+from matcap.capture.method import Method
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.result import CaptureResult
-from matcap.capture.settings import (
-    QUICK_DETAIL,
-    CaptureSettings,
-    Method,
-)
+from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
+from matcap.field.device import computes_bfloat16
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-from matcap.field.source import computes_bfloat16
 from matcap.files.color import srgb_encode_tensor
 from matcap.flash.geometry import (
     FlashSetup,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import srgb_encode
-from matcap.relight.plan import DEFAULT_TOLERANCE
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Film,

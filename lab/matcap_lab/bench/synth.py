@@ -24,8 +24,8 @@ from torch import Tensor
 
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
+from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle
-from matcap.field.source import read_source
 from matcap.files.process import keep_memory
 from matcap.space.decoder import (
     CODE_SIZE,

@@ -4,11 +4,11 @@ import pytest
 import torch
 from plain_decoder import decoded
 
+from matcap.field.field import Field
 from matcap.field.plane import (
     COORDINATE_LIMIT,
     Rectangle,
 )
-from matcap.field.source import Field
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import (
     ALIGNMENT,

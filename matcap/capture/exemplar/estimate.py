@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import (
     CHANNELS,
     MapSet,
@@ -41,7 +42,7 @@ from matcap.capture.settings import CaptureClock
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.index import Frame
+from matcap.example.grids import Frame
 from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane
@@ -120,13 +121,39 @@ class ExemplarEstimate:
         return dict(zip(CHANNELS, means, strict=True))
 
 
+@dataclass(frozen=True)
+class KnownMeans:
+    """Means of an exemplar's maps that the photograph leaves open and the user gives."""
+
+    albedo: float | None = None
+    """Mean diffuse albedo; of metal, mean F0."""
+    roughness: float | None = None
+    """Mean roughness."""
+    absolute: bool = False
+    """Whether the flash intensity is known, and with it the albedo."""
+
+    def scale(self, exemplar: Exemplar, metal: NDArray[np.float32]) -> float:
+        """Factor on albedo and F0: what makes the mean the given one, or the most probable."""
+        if self.albedo is None:
+            return 1.0 if self.absolute else most_probable_scale(exemplar, metal)
+        seen = exemplar.specular if metal.mean() > 0.5 else exemplar.diffuse
+        return self.albedo / max(float(seen.mean()), 1e-4)
+
+    def rougher(self, exemplar: Exemplar) -> Exemplar:
+        """The exemplar with its roughness scaled to the given mean."""
+        if self.roughness is None:
+            return exemplar
+        factor = self.roughness / float(exemplar.roughness.mean())
+        return replace(exemplar, roughness=np.clip(exemplar.roughness * factor, *ROUGHNESS_LIMITS))
+
+
 @torch.no_grad()
 def estimate_exemplar(
     rectified: Rectified,
     network: Inverse,
     clock: CaptureClock,
+    known: KnownMeans | None = None,
     *,
-    absolute: bool = False,
     turned: bool = False,
 ) -> ExemplarEstimate:
     """Estimate the exemplar of a photograph, stage by stage.
@@ -135,7 +162,7 @@ def estimate_exemplar(
         rectified: the photograph on its plane.
         network: the inverse network (network/network.py).
         clock: of the stages.
-        absolute: whether the flash intensity is known, so that the exposure prior is not used.
+        known: what is known of its means, so that no prior is used.
         turned: whether the photograph is a portrait.
     """
     whole, coarse = rectified.whole, rectified.coarse
@@ -143,8 +170,9 @@ def estimate_exemplar(
     with clock.stage("inpaint"):
         exemplar = inpainted(exemplar_of(observed, prediction), observed)
         exemplar = transfer_detail(exemplar, whole, coarse)
-        scale = 1.0 if absolute else most_probable_scale(exemplar, prediction.metal)
-        exemplar = scaled(exemplar, scale).rounded()
+        known = known or KnownMeans()
+        scale = known.scale(exemplar, prediction.metal)
+        exemplar = known.rougher(scaled(exemplar, scale)).rounded()
     with clock.stage("index"):
         kept = None if whole.left_out is None else whole.kept.numpy()
         exemplar, example = indexed(exemplar, rectified.waves, turned=turned, kept=kept)

@@ -66,7 +66,8 @@ def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, 
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
         observed = observed.tinted(classes.metal_share)
-    logit = answer.metal if has_metal(answer.metal) else None
+    mixed = has_metal(answer.metal) and not observed.coarse.by_hand
+    logit = answer.metal if mixed else None
     return observed, NetworkPrediction(answer.residuals, answer.errors, confidence, logit, classes)
 
 

@@ -37,9 +37,9 @@ from matcap.capture.multiview.texels import (
     PARAMETERS,
     SLOPES,
     TINT,
-    Basis,
     Estimate,
     ParameterPrior,
+    SharedMaterials,
     log_rendered,
     points_of,
     robust_cost,
@@ -56,7 +56,7 @@ from matcap.flash.coarse.problem import (
 _ACROSS = 160  # texels across the grid
 _TRIED = (1, 2, 3, 4, 6, 8)  # numbers of materials
 _ENOUGH = 0.95  # a larger number must reduce the error of photographs held back to this share
-_HELD = 3  # every third photograph is held back
+_HELD_OUT = 3  # every third photograph is held back
 _ROUNDS, _STEPS = 3, 2  # alternations, and Gauss-Newton steps of texels in each
 _SAMPLED = 3000  # texels to which F0, roughness and light are fitted
 _SLOPE = 0.2  # prior standard deviation of slopes
@@ -112,7 +112,7 @@ def with_basis(
 
 def fit_basis(
     views: Sequence[ResampledView], prediction: Estimate, light: SharedLight
-) -> tuple[Basis, SharedLight] | None:
+) -> tuple[SharedMaterials, SharedLight] | None:
     """The materials that predict held-back photographs best, and the light fitted with them.
 
     None if one does, if any photograph is without flash, or with fewer than three.
@@ -137,7 +137,7 @@ class _Fit:
     views: Sequence[ResampledView]
     prediction: Estimate
     """The network's, whose albedo is the prior of dielectrics'."""
-    basis: Basis
+    basis: SharedMaterials
     """Prior means of the materials; SharedLight.gloss is their change."""
     certain: Tensor
     """(K,) precision of each material's log F0, for the common scale of all."""
@@ -151,11 +151,11 @@ class _Fit:
         prior = ParameterPrior.of(prediction)
         light = replace(light, gloss=torch.zeros_like(prior.gloss_deviation))
         no = torch.zeros(1, dtype=torch.bool)
-        basis = Basis(torch.zeros(1, 5), no, no, prior.shares)
+        basis = SharedMaterials(torch.zeros(1, 5), no, no, prior.shares)
         return _Fit(views, prediction, basis, torch.zeros(1), light, prior.mean)
 
     @property
-    def current(self) -> Basis:
+    def current(self) -> SharedMaterials:
         """The materials."""
         return self.basis.changed(self.light.gloss)
 
@@ -199,7 +199,7 @@ class _Fit:
         shares = shares[kept] / shares[kept].sum(0).clamp_min(1e-6)
         light = replace(self.light, gloss=self.light.gloss[kept])
         old = self.basis
-        basis = Basis(old.gloss[kept], old.conductor[kept], old.metallic[kept], shares)
+        basis = SharedMaterials(old.gloss[kept], old.conductor[kept], old.metallic[kept], shares)
         fit = replace(self, basis=basis, certain=self.certain[kept], light=light)
         mean, parameters = fit.prior.with_gloss_of(light).mean, self.parameters.clone()
         parameters[GLOSS], parameters[TINT] = mean[GLOSS], mean[TINT]
@@ -245,13 +245,13 @@ class _Fit:
 
 def _chosen(views: Sequence[ResampledView], small: Estimate, light: SharedLight) -> _Fit | None:
     """The fit of the best number of materials to all photographs; None for one."""
-    held = [n for n in range(1, len(views)) if n % _HELD == _HELD - 1]
-    kept = [n for n in range(len(views)) if n not in held]
+    held_out = [n for n in range(1, len(views)) if n % _HELD_OUT == _HELD_OUT - 1]
+    kept = [n for n in range(len(views)) if n not in held_out]
     some, of_some = [views[n] for n in kept], light.of_some(kept)
     best, least, misses = 1, math.inf, 0
     for count in _TRIED:
         fit = _fitted(some, small, of_some, count)
-        error = float(np.mean([_predicted(views[n], fit) for n in held]))
+        error = float(np.mean([_predicted(views[n], fit) for n in held_out]))
         if error < _ENOUGH * least:
             best, least, misses = count, error, 0
         else:
@@ -385,7 +385,7 @@ def _started(fit: _Fit, shares: Tensor) -> _Fit:
         certain.append(1.0 / variance)
     conducts, coloured = torch.tensor(conductor), torch.stack(gloss)[:, 2:].abs().amax(1) > _HUE
     metallic = conducts | (coloured & (torch.tensor(certain) > _CERTAIN))
-    basis = Basis(torch.stack(gloss), conducts, metallic, shares)
+    basis = SharedMaterials(torch.stack(gloss), conducts, metallic, shares)
     nothing = torch.zeros(len(shares), 4)
     light = replace(light, gloss=nothing)
     fit = replace(fit, basis=basis, certain=torch.tensor(certain), light=light)

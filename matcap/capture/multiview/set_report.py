@@ -16,7 +16,13 @@ from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.solve import Solved, solve
-from matcap.capture.multiview.texels import Basis, Estimate, log_rendered, parameters_of, points_of
+from matcap.capture.multiview.texels import (
+    Estimate,
+    SharedMaterials,
+    log_rendered,
+    parameters_of,
+    points_of,
+)
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
 from matcap.photo.checks import CHECKS
@@ -141,7 +147,7 @@ class SetReport:
     """Position of the flash relative to the lens, plane units; the last is 0."""
     mosaic: Mosaic
     """Extent of the maps; without margins, the first photograph's rectangle."""
-    basis: Basis | None = None
+    basis: SharedMaterials | None = None
     """Materials that the texels share; None if all are one."""
     kept_first: tuple[float, float] | None = None
     """Set if the result is that of the first photograph: residuals of all others predicted by each

@@ -109,7 +109,7 @@ class Stepped:
 
 
 @dataclass(frozen=True)
-class Basis:
+class SharedMaterials:
     """Basis reflectances: K materials, and the share of each in every texel."""
 
     gloss: Tensor
@@ -138,7 +138,7 @@ class Basis:
         free, grey = torch.tensor(_CONDUCTOR), torch.tensor(_DIELECTRIC)
         return torch.where(self.metallic[:, None], free, grey)
 
-    def resized(self, size: tuple[int, int]) -> Basis:
+    def resized(self, size: tuple[int, int]) -> SharedMaterials:
         """Area average on a grid of `size` = (rows, columns) texels."""
         return replace(self, shares=F.interpolate(self.shares[None], size=size, mode="area")[0])
 
@@ -157,7 +157,7 @@ class Basis:
             for own, alpha, conducts, part in planes
         ]
 
-    def changed(self, gloss: Tensor) -> Basis:
+    def changed(self, gloss: Tensor) -> SharedMaterials:
         """With changes (K, 4) of log F0, logit roughness and hues."""
         change = torch.cat([gloss[:, :2], gloss[:, 2:] @ HUES], dim=1)
         return replace(self, gloss=self.gloss + change)
@@ -179,7 +179,7 @@ class Estimate:
     """Maps of the exemplar."""
     log_error: Tensor
     """(4, H, W) log of the standard deviations of log albedo, log F0, logit roughness and slope."""
-    basis: Basis | None = None
+    basis: SharedMaterials | None = None
     """Materials that texels share; None if all are one, whose F0 and roughness are the maps'."""
 
     def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:

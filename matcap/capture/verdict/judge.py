@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from matcap.capture.verdict.causes import UNSEEN, ExemplarMeasurements, causes
 from matcap.capture.verdict.measurements import Measurements
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, RESIDUES, Cause, Finding, Rating
+from matcap.photo.inspect import whereabouts
 
 NORM = 6.0
 """Exponent p of the severity (sum s^p)^(1/p): near the largest s, and a little above it for several
 (three of 1.8 give 2.2); docs/notes/verdict.md."""
-PHOTOGRAPHED = ("flash", "clipped", "tilt", "stationarity")
+PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity")
 """Keys of the photograph's own checks that are part of the verdict."""
 
+_UNDETERMINED = "one photograph leaves open what of it is colour, gloss and relief"
+_AT_HIGHLIGHT = frozenset(
+    {"highlight_contrast", "glint_contrast", "highlight_place", "highlight_width",
+     "highlight_residue", "clipped"}
+)  # fmt: skip
+_IN_TEXTURE = frozenset({"texture", "contrast", "exemplar", "connectivity", "order", "confidence"})
+# Measurements from which a reason matters: clipped share of the highlight, blur in pixels,
+# difference between parts, share of relief that is predicted.
+_CLIPPED, _BLURRED, _UNEVEN, _PREDICTED = 0.05, 1.5, 1.2, 0.5
 # Which highlights and lattices are compared; docs/notes/verdict.md.
 _WIDEST = 0.34  # largest half width of a visible highlight, plane units (below that of the falloff)
 _FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
@@ -54,26 +64,43 @@ class CaptureVerdict:
 
     @property
     def worst(self) -> Finding:
-        """The finding with the largest severity."""
+        """The finding with the largest severity; without a material in the picture, that one."""
+        first = self.findings[0]
+        if first.name == "subject" and first.rating is Rating.FAILED:
+            return first
         return max(self.findings, key=lambda finding: finding.severity)
+
+    @property
+    def appearances(self) -> dict[str, Finding]:
+        """What a person sees, at most twelve: the worst finding of each of APPEARANCES."""
+        worst: dict[str, Finding] = {}
+        for finding in sorted(self.findings, key=lambda finding: finding.severity):
+            worst[finding.appearance] = finding
+        return worst
 
     def sentence(self) -> str:
         """The verdict in one line: rating, largest difference, likely cause and remedy."""
+        first = self.findings[0]
+        note = f" ({first.says})" if first.rating is Rating.NOT_JUDGED else ""
         if self.rating is Rating.GOOD:
-            return f"{self.rating.value}: looks like the photograph"
+            return f"{self.rating.value}: looks like the photograph{note}"
         cause, remedy = self.cause()
-        return f"{self.rating.value}: {self.worst.says}. {cause}. Remedy: {remedy}."
+        worst, place = self.worst, ""
+        if worst.where is not None and worst.name in _IN_TEXTURE:
+            left, top, width, height = worst.where
+            place = f", most of all {whereabouts(left + width / 2.0, top + height / 2.0)}"
+        seen = f"{self.rating.value}: {worst.appearance}: {worst.says}{place}{note}"
+        return f"{seen}. Why: {cause}. What helps: {remedy}."
 
     def cause(self) -> tuple[str, str]:
-        """Sentences on the likely cause of the largest difference and its remedy."""
+        """Clauses on the cause of the largest difference, and on what will help."""
         worst = self.worst
-        for cause in self.causes:
-            if worst.name in cause.explains:
-                return f"Likely cause: {cause.says}", cause.remedy
-        remedy = worst.remedy or more_photographs(self.photographs)
-        if worst.cause:
-            return f"Likely cause: {worst.cause}", remedy
-        return "Cause unknown: no check of the photograph explains it", remedy
+        if worst.name != "subject":
+            for cause in self.causes:
+                if worst.name in cause.explains:
+                    return cause.says, cause.remedy
+        more = more_photographs(self.photographs)
+        return worst.cause or _UNDETERMINED, worst.remedy or more
 
     def document(self) -> dict[str, Any]:
         """JSON (report.py describes the keys)."""
@@ -85,6 +112,11 @@ class CaptureVerdict:
             "causes": [
                 {"name": one.name, "message": one.says, "remedy": one.remedy} for one in self.causes
             ],
+            "appearances": {
+                name: finding.name
+                for name, finding in self.appearances.items()
+                if finding.severity > 1.0
+            },
             "checks": {finding.name: finding.document() for finding in self.findings},
         }
 
@@ -92,7 +124,90 @@ class CaptureVerdict:
 def judge(seen: Measurements) -> CaptureVerdict:
     """Rate measurements and look for causes."""
     more = more_photographs(seen.photographs)
-    return CaptureVerdict(tuple(findings(seen)), causes(seen.causes, more), seen.photographs)
+    judged = (_placed(_explained(finding, seen, more), seen) for finding in findings(seen))
+    return CaptureVerdict(tuple(judged), causes(seen.causes, more), seen.photographs)
+
+
+def _placed(finding: Finding, seen: Measurements) -> Finding:
+    """The finding with the region of the picture where it is seen."""
+    place = "highlight" if finding.name in _AT_HIGHLIGHT else "texture"
+    if finding.where is not None or finding.name not in _AT_HIGHLIGHT | _IN_TEXTURE:
+        return finding
+    return replace(finding, where=seen.regions.get(place))
+
+
+def _explained(finding: Finding, seen: Measurements, more: str) -> Finding:
+    """The finding with the strongest measured reason; a finding with a cause is kept as it is."""
+    if finding.cause or finding.severity <= 1.0:
+        return finding
+    reasons = [
+        one for one in _reasons(seen, more) if one.strength >= 1.0 and finding.name in one.explains
+    ]
+    if not reasons:
+        return finding
+    best = max(reasons, key=lambda one: one.strength)
+    return replace(finding, cause=best.why, remedy=best.remedy)
+
+
+@dataclass(frozen=True)
+class _Reason:
+    strength: float
+    """Measurement over the value from which it matters; the strongest is given."""
+    why: str
+    remedy: str
+    explains: frozenset[str]
+    """Keys of checks."""
+
+
+def _reasons(seen: Measurements, more: str) -> Iterator[_Reason]:
+    """Measured reasons why maps differ from the photograph."""
+    photograph = {finding.name: finding for finding in seen.photograph.findings}
+
+    def number(name: str) -> float:
+        value = photograph[name].value if name in photograph else None
+        return float(value) if isinstance(value, int | float) else 0.0
+
+    clipped = 0.0 if seen.profile is None else seen.profile.clipped[0]
+    yield _Reason(
+        clipped / _CLIPPED, f"{clipped:.0%} of the highlight is clipped, so its peak is unknown",
+        "take one more photograph from the same place, two to four stops darker, and capture both",
+        _AT_HIGHLIGHT | {"colour"},
+    )  # fmt: skip
+    yield _Reason(
+        number("sharpness") / _BLURRED, "the photograph is not sharp",
+        "touch the sample on the screen to focus, and hold still", _IN_TEXTURE,
+    )  # fmt: skip
+    yield _Reason(
+        number("stationarity") / _UNEVEN, "parts of the sample differ from each other",
+        "capture the even part by --crop, or photograph another part of the sample",
+        _IN_TEXTURE | {"light", "colour"},
+    )  # fmt: skip
+    confidence = seen.exemplar.confidence or {}
+    relief = 1.0 - min((confidence[name] for name in ("height", "normal") if name in confidence),
+                       default=1.0)  # fmt: skip
+    yield _Reason(
+        relief / _PREDICTED,
+        "light from one place shows little of the relief across its direction", more,
+        _IN_TEXTURE | {"glint_contrast", "highlight_residue"},
+    )  # fmt: skip
+    error, limit = seen.exemplar.error, CHECKS["exemplar"].limits[0]
+    yield _Reason(
+        float(error <= limit), "maps of the photographed rectangle fit it, rearranged ones less",
+        "synthesise with a lower --variety, or make that rectangle repeat (synth --tile piece)",
+        _IN_TEXTURE - {"exemplar", "confidence"},
+    )  # fmt: skip
+    yield _Reason(
+        error / limit if error > limit else 0.0,
+        "light from one place does not tell all of relief and gloss from colour", more,
+        _IN_TEXTURE | {"glint_contrast", "highlight_residue"},
+    )  # fmt: skip
+    developed = "radiometric" in photograph and photograph["radiometric"].rating is not Rating.GOOD
+    yield _Reason(
+        float(developed),
+        "a developed picture does not keep highlights and colours in proportion to light",
+        "photograph RAW (DNG), or take one more a few stops darker and capture both",
+        _AT_HIGHLIGHT | {"light", "colour", "exemplar"},
+    )  # fmt: skip
 
 
 def findings(seen: Measurements) -> Iterator[Finding]:
@@ -113,7 +228,10 @@ def findings(seen: Measurements) -> Iterator[Finding]:
 def more_photographs(given: int) -> str:
     """Remedy for a capture that one or more photographs do not determine well enough."""
     if given < 2:
-        return "take five photographs and give them with --together, which measure more than one"
+        return (
+            "take five photographs, one from above and one with the phone moved by a third of its "
+            "distance to each side, and give them with --together"
+        )
     if given < 5:
         return f"add photographs from other sides to these {given}: five measure more"
     return "photograph again with the phone moved further to each side (see matcap inspect)"

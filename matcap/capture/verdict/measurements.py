@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.exemplar.observation import code_step
-from matcap.capture.settings import FEATURES, WINDOW
+from matcap.capture.method import FEATURES, WINDOW
 from matcap.capture.verdict.causes import (
+    UNSEEN,
     ExemplarMeasurements,
     HighlightProfile,
     by_place,
@@ -26,7 +27,14 @@ from matcap.capture.verdict.causes import (
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.rectify import Plane, plane_of, planes_of
-from matcap.photo.inspect import Inspection, band_passed, channel_mean, inspect_photo
+from matcap.photo.checks import Region
+from matcap.photo.inspect import (
+    Inspection,
+    band_passed,
+    channel_mean,
+    inspect_photo,
+    upright_region,
+)
 from matcap.photo.left_out import area_averaged, cell_means
 from matcap.photo.photo import FULL, Photo
 from matcap.statistics.compare import Descriptor, FilterBank, Weights, describe, distance
@@ -113,6 +121,7 @@ _TILES = 8  # across the picture, for contrasts of texture
 _BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
 _PLACES = (4, 3)  # number of windows across and down
 _LEAST_SEEN = 0.5  # least valid share of a window
+_LEAST_MARK = 0.1  # half the side of the least square that is shown, plane units
 
 
 @dataclass(frozen=True)
@@ -148,6 +157,8 @@ class Measurements:
     """Measurement of each cause by its name (photo/checks.py)."""
     photographs: int = 1
     """Number of photographs of the sample."""
+    regions: Mapping[str, Region] = field(default_factory=dict)
+    """Where it is seen, by `highlight` and `texture`, in the upright picture."""
 
 
 def measure_capture(
@@ -195,7 +206,34 @@ def measure_capture(
         ),
         exemplar=exemplar,
         causes=measure_causes(photo, smooth, pictures, highlights, exemplar),
+        regions={
+            name: upright_region(photo, region)
+            for name, region in _regions(pictures, highlights).items()
+        },
     )
+
+
+def _regions(
+    pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
+) -> dict[str, Region]:
+    """Squares around the highlight, and around the tile whose contrast differs most."""
+    before, after = (_tile_contrasts(picture)["coarse"] for picture in pictures)
+    differs = np.abs(np.log((after + UNSEEN**2) / (before + UNSEEN**2)))
+    rows, columns = differs.shape
+    row, column = divmod(int(differs.argmax()), columns)
+    regions = {"texture": (column / columns, row / rows, 1.0 / columns, 1.0 / rows)}
+    seen = highlights[0] or highlights[1]
+    if seen is not None:
+        height, width = pictures[0].shape[:2]
+        half, up = max(seen.width, _LEAST_MARK), height / width
+        x, y = seen.centre
+        regions["highlight"] = (
+            (1.0 + x - half) / 2.0,
+            (up - y - half) / (2.0 * up),
+            half,
+            half / up,
+        )
+    return regions
 
 
 def smooth_difference(

@@ -91,6 +91,8 @@ class CoarseFit(Uniform):
     """Root-mean-square of the log residual over unclipped cells."""
     conductor: bool = False
     """Whether fitted as bare metal; `specular` is then the mean of its coloured F0."""
+    by_hand: bool = False
+    """Whether metal or dielectric was given, not measured."""
     tilt_prior: TiltPrior | None = None
     """Measurement of the tilt given as a prior, if any."""
     picture_tilt: tuple[float, float] | None = None
@@ -104,6 +106,7 @@ def fit_coarse(
     *,
     tilt: tuple[float, float] | None = None,
     tilt_prior: TiltPrior | None = None,
+    known_metal: bool | None = None,
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
 
@@ -111,6 +114,7 @@ def fit_coarse(
         photo: of any size; only its low frequencies are used.
         tilt: (tilt_x, tilt_y) in radians, held fixed; None to fit them.
         tilt_prior: Gaussian measurement of the tilt, used as its prior.
+        known_metal: whether it is metal, if that is known; None to decide by probability.
     """
     highlight = find_highlight(light_of(photo.pixels))
     coarse, fine = (cells_of(photo, highlight, *grid) for grid in _GRIDS)
@@ -122,7 +126,7 @@ def fit_coarse(
     )
     chosen, dielectric_cost, _ = _fitted(photo, fine, dielectric)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
-    if metal.least_cost <= dielectric.least_cost:
+    if known_metal or (known_metal is None and metal.least_cost <= dielectric.least_cost):
         conductor, cost, nat = _fitted(photo, fine, metal)
         red, _, blue = conductor.diffuse
         is_metal = (
@@ -131,8 +135,8 @@ def fit_coarse(
             and math.log(blue / red) < _BLUEST
             and conductor.roughness < _DULLEST
         )
-        chosen = conductor if is_metal else chosen
-    return replace(chosen, tilt_prior=tilt_prior)
+        chosen = conductor if is_metal or known_metal else chosen
+    return replace(chosen, tilt_prior=tilt_prior, by_hand=known_metal is not None)
 
 
 @dataclass(frozen=True)

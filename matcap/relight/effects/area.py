@@ -29,6 +29,7 @@ from matcap.relight.camera import (
     Array,
     unit3,
 )
+from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import (
     LANES,
     CAreaLight,
@@ -39,7 +40,7 @@ from matcap.relight.loops.library import (
     directions,
     loops,
 )
-from matcap.relight.plan import Bound, SceneBounds
+from matcap.relight.plan import SceneBounds
 from matcap.relight.scene import (
     RectangleLight,
     SphereLight,

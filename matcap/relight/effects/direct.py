@@ -21,6 +21,7 @@ from matcap.relight.camera import (
     Array,
     unit3,
 )
+from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import (
     DIFFUSE,
     LOST,
@@ -31,11 +32,7 @@ from matcap.relight.loops.library import (
     address,
     loops,
 )
-from matcap.relight.plan import (
-    LARGEST_ALBEDO,
-    Bound,
-    SceneBounds,
-)
+from matcap.relight.plan import LARGEST_ALBEDO, SceneBounds
 from matcap.relight.scene import (
     DirectionalLight,
     PointLight,

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from matcap.relight.block import Block, Hits
 from matcap.relight.camera import Array
 from matcap.relight.effects import area, direct, environment, multiscatter, relief
-from matcap.relight.plan import Bound, SceneBounds
+from matcap.relight.effects.bound import Bound
+from matcap.relight.plan import SceneBounds
 from matcap.relight.relief import Relief
 
 

@@ -37,6 +37,7 @@ from matcap.relight.camera import (
     vec,
 )
 from matcap.relight.effects import direct
+from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.environment_map import Environment, albedo
 from matcap.relight.loops.library import (
     CHorizon,
@@ -44,12 +45,7 @@ from matcap.relight.loops.library import (
     directions,
     loops,
 )
-from matcap.relight.plan import (
-    DEFAULT_TOLERANCE,
-    LARGEST_ALBEDO,
-    Bound,
-    SceneBounds,
-)
+from matcap.relight.plan import LARGEST_ALBEDO, SceneBounds
 
 SAMPLES = 144  # at the default tolerance
 _MOST = 4181

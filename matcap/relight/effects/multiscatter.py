@@ -17,8 +17,9 @@ import math
 import numpy as np
 
 from matcap.relight.camera import Array
+from matcap.relight.effects.bound import Bound
 from matcap.relight.environment_map import albedo
-from matcap.relight.plan import Bound, SceneBounds
+from matcap.relight.plan import SceneBounds
 
 
 def bound(limits: SceneBounds) -> Bound:

@@ -11,8 +11,9 @@ import numpy as np
 
 from matcap.relight.block import Block, Hits, to_scene
 from matcap.relight.camera import Array, Vec, add
+from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import CSearch, KeptArrays, Pointer, Whole, address, loops
-from matcap.relight.plan import Bound, SceneBounds
+from matcap.relight.plan import SceneBounds
 from matcap.relight.relief import COARSENESS, Relief
 
 # Parallax and occlusion of the view by the height field: relief mapping [policarpo2005].

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from matcap.brdf.edited import check_heights
 from matcap.brdf.integrate import integrate_periodic
-from matcap.brdf.maps import check_heights
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.files.names import TOKEN, tile_names

@@ -387,9 +387,7 @@ def load_prior(path: Path | None = None) -> Prior:
                 anchors=_anchors(stored, int(about.get("anchors", 0))),
             )
     except (SafetensorError, OSError) as error:
-        raise MatcapError.at(
-            path, f"this is not a prior, or it is damaged ({error})", _REMEDY
-        ) from error
+        raise MatcapError.at(path, "this is not a prior, or it is damaged", _REMEDY) from error
     except DAMAGED as error:
         raise MatcapError.at(
             path, f"the prior's description is damaged ({error})", _REMEDY

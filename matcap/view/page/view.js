@@ -71,7 +71,8 @@ export class View {
       span: 1.5 * width, // texels across the long side, or a sphere's diameter
       left: "none", right: "field", wipe: 0.5, // what is on either side of the wipe, and where that is
       adjust: parseAdjustments(this.about.adjust),
-      lamp: [-0.35, 0.3, 1], // in units of half the long side, or of the radius
+      // In units of half the long side, or of the radius; of a photograph, its flash.
+      lamp: this.about.flash?.light ?? [-0.35, 0.3, 1],
     };
   }
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from arrays import photo_from_array
 from materials import a_material
 from photographed import photographed
 from PIL import Image
@@ -19,7 +20,12 @@ from typer.testing import CliRunner
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.folder import find_mapsets, read_mapset
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import ExemplarEstimate, estimate_exemplar, map_set_of
+from matcap.capture.exemplar.estimate import (
+    ExemplarEstimate,
+    KnownMeans,
+    estimate_exemplar,
+    map_set_of,
+)
 from matcap.capture.exemplar.network.network import (
     ANSWERS,
     ERRORS,
@@ -41,10 +47,11 @@ from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.settings import CaptureClock
 from matcap.cli.main import app
 from matcap.errors import MatcapError, UsageError
+from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
 from matcap.files.color import srgb_encode
 from matcap.files.exr import read_exr
-from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points
 from matcap.flash.light import FlashLight, Uniform, render_flash, uniform_radiance
 from matcap.flash.rectify import Plane, inside, plane_of
@@ -426,3 +433,24 @@ def test_the_report_says_how_right_it_is(folder: Path) -> None:
     assert 0.0 <= values["left_out"] < 0.5
     assert 0.0 < values["relief_spectrum"]["relief"] < 1.0
     assert set(values["confidence"]) == {"diffuse", "specular", "roughness", "height"}
+
+
+def test_known_means_replace_what_a_photograph_leaves_open():
+    planes = np.random.default_rng(0).uniform(0.1, 0.3, (5, 8, 8)).astype(np.float32)
+    exemplar = Exemplar(
+        diffuse=planes[:3], specular=planes[3:4], roughness=planes[4:], height=0 * planes[:1],
+        confidence=np.ones((4, 8, 8), np.float32), texel_size=0.01,
+    )  # fmt: skip
+    known, dielectric = KnownMeans(albedo=0.5, roughness=0.4), np.zeros((8, 8), np.float32)
+    assert known.scale(exemplar, dielectric) * exemplar.diffuse.mean() == pytest.approx(0.5)
+    assert known.scale(exemplar, 1 + dielectric) * exemplar.specular.mean() == pytest.approx(0.5)
+    assert known.rougher(exemplar).roughness.mean() == pytest.approx(0.4, rel=1e-3)
+    assert KnownMeans(absolute=True).scale(exemplar, dielectric) == 1.0
+
+
+@pytest.mark.parametrize("metal", [True, False])
+def test_metal_or_dielectric_by_hand_decides_the_coarse_fit(metal):
+    shot = photographed(0.15, 0.15, width=256, height=192)
+    photo = photo_from_array(shot.linear.movedim(0, -1).numpy())
+    coarse = fit_coarse(photo, known_metal=metal)
+    assert coarse.conductor is metal and coarse.by_hand

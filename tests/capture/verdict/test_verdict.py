@@ -29,13 +29,14 @@ from matcap.capture.verdict.measurements import (
 from matcap.flash.highlight import Highlight
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
-from matcap.photo.checks import CAUSES, CHECKS, RESIDUES, Rating
+from matcap.photo.checks import APPEARANCES, CAUSES, CHECKS, RESIDUES, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
 
 SPOT = Highlight((0.0, 0.0), 0.1, 0.9, 0.1)
 GOOD_SHOT = Inspection(
     "made up",
     (
+        CHECKS["subject"].rated(True, Rating.GOOD),
         CHECKS["flash"].finding(3.0, fired=""),
         CHECKS["clipped"].finding(0.001),
         CHECKS["tilt"].finding(2.0, side="", raised="left"),
@@ -108,6 +109,90 @@ def test_every_row_of_the_table_is_said_of_something(leather):
     said = [*findings(replace(FINE, **worst)), *inspect_photo(leather[0], (0.3, 0.0)).findings]
     assert set(RATED) <= {found.name for found in said}
     assert all(found.line() and "{" not in found.line() for found in said)
+
+
+def test_a_person_sees_at_most_twelve_things():
+    assert len(APPEARANCES) == 12
+    assert {name for names in APPEARANCES.values() for name in names} <= {*CHECKS}
+    seen = judge(replace(FINE, light=0.3, colour=(0.2, 0.0, 0.0)))
+    assert {finding.appearance for finding in seen.findings} <= {*APPEARANCES}
+    assert seen.appearances["wrong colour"].name == "colour"
+
+
+@pytest.mark.parametrize("name", ["texture", "contrast", "light", "colour", "exemplar"])
+def test_every_difference_has_a_cause_and_what_helps(name):
+    worse = {
+        "texture": {"texture": 2.0},
+        "contrast": {"contrast": {"fine texture": (0.1, 0.3)}},
+        "light": {"light": 0.3},
+        "colour": {"colour": (0.3, 0.0, 0.0)},
+        "exemplar": exemplar_with(error=0.3),
+    }
+    sentence = judge(replace(FINE, **worse[name])).sentence()
+    assert "Why: " in sentence and "What helps: " in sentence and "nknown" not in sentence
+
+
+def test_a_clipped_highlight_asks_for_a_darker_photograph():
+    seen_profile = replace(FINE.profile, clipped=(0.5, *FINE.profile.clipped[1:]))
+    seen = replace(FINE, colour=(0.3, 0.0, 0.0), profile=seen_profile)
+    assert "50% of the highlight is clipped" in judge(seen).sentence()
+    assert "stops darker" in judge(seen).sentence()
+
+
+def test_where_it_differs_is_marked():
+    region = (0.1, 0.2, 0.125, 0.125)
+    verdict = judge(replace(FINE, texture=2.0, regions={"texture": region}))
+    assert verdict.worst.where == region
+    assert verdict.sentence().startswith("doubtful: another texture: ")
+    assert "most of all at the upper left" in verdict.sentence()
+    assert verdict.document()["checks"]["texture"]["where"] == [0.1, 0.2, 0.125, 0.125]
+
+
+def _blank():
+    return np.full((300, 400, 3), 0.4, np.float32)
+
+
+def _evenly_lit():
+    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(size=(300, 400)), (0, 0), 2)
+    return np.repeat((0.3 + 0.3 * noise)[..., None], 3, 2).clip(0.01, 0.9).astype(np.float32)
+
+
+def _screen():
+    page = np.full((300, 400, 3), 0.8, np.float32)
+    page[40:260:20, 30:370:3] = 0.1
+    return page
+
+
+def _object():
+    y, x = np.mgrid[:300, :400]
+    bright = np.exp(-((x - 200) ** 2 + (y - 150) ** 2) / 2e4)[..., None]
+    rough = 1 + 0.3 * np.random.default_rng(0).normal(size=(300, 400, 1)) * (x > 250)[..., None]
+    hue = np.where((abs(x - 150) < 70)[..., None], (0.7, 0.2, 0.1), (0.2, 0.3, 0.7))
+    return (bright * rough * hue).clip(0.001, 0.95).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("picture", "says"),
+    [
+        (_blank, "one plain colour"),
+        (_evenly_lit, "no flash"),
+        (_screen, "exactly as the next"),
+        (_object, "no flat, even material"),
+    ],
+)
+def test_what_is_no_material_is_named_by_inspect_and_capture_alike(picture, says):
+    inspected = inspect_photo(photo_from_array(picture()))
+    subject = inspected["subject"]
+    assert subject.rating is Rating.FAILED and says in subject.says
+    shot = Inspection("shot", (subject, *GOOD_SHOT.findings[1:]))
+    verdict = judge(replace(FINE, photograph=shot))
+    assert verdict.rating is Rating.FAILED and says in verdict.sentence()
+
+
+def test_a_thumbnail_is_named_and_not_rated():
+    photo = photo_from_array(shots.good("tile").pixels[:150, :200])
+    subject = inspect_photo(photo)["subject"]
+    assert subject.rating is Rating.NOT_JUDGED and "200 x 150 pixels" in subject.says
 
 
 def test_a_measurement_that_is_not_a_number_has_failed():
@@ -207,7 +292,7 @@ def test_a_cause_is_named_on_evidence_of_its_own_and_with_what_helps(name):
     verdict = judge(replace(FINE, **fault, causes={name: value}))
     (cause,) = verdict.causes
     assert cause.name == name
-    assert f"Likely cause: {cause.says}. Remedy: {cause.remedy}." in verdict.sentence()
+    assert f"Why: {cause.says}. What helps: {cause.remedy}." in verdict.sentence()
     assert judge(replace(FINE, **fault)).causes == ()
 
 
@@ -234,7 +319,8 @@ def test_a_curve_bends_no_raw():
 
 def test_where_the_photograph_shows_no_cause_none_is_named():
     sentence = judge(replace(FINE, light=0.5)).sentence()
-    assert "Cause unknown" in sentence and "room" not in sentence and "curve" not in sentence
+    assert "one photograph leaves open" in sentence
+    assert "room" not in sentence and "curve" not in sentence
 
 
 def test_lines_that_break_or_appear_are_told_by_what_they_are():
@@ -478,7 +564,7 @@ def test_a_usable_capture_is_told_its_largest_difference():
 def test_a_set_is_not_told_to_be_one():
     def remedy(photographs):
         seen = replace(FINE, light=0.5, photographs=photographs)
-        return judge(seen).sentence().partition("Remedy: ")[2]
+        return judge(seen).sentence().partition("What helps: ")[2]
 
     assert "take five photographs" in remedy(1)
     assert "from other sides to these 3" in remedy(3)

@@ -283,7 +283,7 @@ def read_inverse(path: Path) -> tuple[Inverse, dict[str, Any]]:
             network = StoredTensors(file, path, _REMEDY).load(network)
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise MatcapError.at(
-            path, f"this is not an inverse network's file, or it is damaged ({error})", _REMEDY
+            path, "this is not an inverse network's file, or it is damaged", _REMEDY
         ) from error
     return network, dict(about["card"])
 

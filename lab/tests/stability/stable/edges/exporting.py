@@ -12,11 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
+from matcap.export.formats import Container, Depth
 from matcap.export.job import ExportJob
-from matcap.export.occlusion import (
-    Container,
-    Depth,
-)
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
 from matcap.export.texture_file import TextureFile
 from matcap.export.workflows import (

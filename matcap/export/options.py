@@ -1,0 +1,74 @@
+"""Options of `matcap export`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from matcap.files import settings as values
+from matcap.files.settings import CheckedSettings, setting
+
+if TYPE_CHECKING:
+    from matcap.export.formats import Container, Depth, NormalMaps
+    from matcap.export.textures import Workflow
+    from matcap.files.settings import Size
+
+_LARGEST = 65_536  # texels a side
+
+
+def _listed(text: str | Sequence[str]) -> tuple[str, ...]:
+    names = text.split(",") if isinstance(text, str) else text
+    return tuple(one.strip() for one in names)
+
+
+@dataclass(frozen=True)
+class ExportArea(CheckedSettings):
+    """Rectangle of a material to export."""
+
+    size: Size | None = setting(
+        None, metavar="WxH", parse=values.sides(_LARGEST), otherwise="1024x1024"
+    )
+    """Texels read from a material, 2048x1024 or 2K, at most 65536 a side; they repeat without a
+    seam where both are multiples of 16."""
+    udim: Size | None = setting(None, metavar="CxR", parse=values.size)
+    """A texture set of C columns (at most 10) and R rows (at most 900) of a material, each tile of
+    --size."""
+    seed: int | None = setting(None, metavar="SEED", parse=values.seed, otherwise="0")
+    """Seed of the material's realisation."""
+    tile: Literal["piece"] | None = setting(None, words=("piece",), otherwise="a part of the field")
+    """piece: the photographed rectangle itself, made to repeat, at about its own size."""
+
+
+@dataclass(frozen=True)
+class ExportOptions(CheckedSettings):
+    """Options that override a target's defaults; `pattern`, `maps`, `normal`: of presets alone."""
+
+    pattern: str | None = setting(None, option="name", metavar="PATTERN")
+    """File names of a preset, with the fields {stem}, {map}, {res} and {format}."""
+    maps: Sequence[str] = setting((), metavar="A,B", parse=_listed)
+    """Maps of a preset to write, such as diffuse,roughness; all by default."""
+    normal: NormalMaps | None = setting(None, words=("gl", "dx", "both"), otherwise="the preset's")
+    """Normals of a preset: +Y up (gl), down (dx), or a file of each (both)."""
+    bits: Depth | None = setting(None, words=("8", "16", "half", "float"), otherwise="the target's")
+    """Depth of all textures: PNG of 8 or 16 bits, EXR of half or float."""
+    workflow: Workflow | None = setting(
+        None,
+        words=("metallic", "specular"),
+        otherwise="the one with the smaller residual; unreal: metallic",
+    )
+    """Metallic or specular workflow, for targets that have both."""
+    container: Container | None = setting(
+        None,
+        option="format",
+        words=("png", "jpg", "webp", "exr", "tx"),
+        otherwise="png, or exr for floats",
+    )
+    """Format of the textures; with jpg or webp, heights are PNG."""
+    tiled: bool = setting(False)
+    """Write EXR files in tiles, with mipmaps."""
+    unit: float | None = setting(
+        None, least=1e-6, most=1e9, metavar="MM", otherwise="the material's measured size"
+    )
+    """Length of a plane unit (half the photograph's long side) in millimetres, for physical sizes
+    and heights."""

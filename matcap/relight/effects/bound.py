@@ -1,0 +1,18 @@
+"""Upper bound on the change from leaving an effect out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Largest change from leaving effects out, by default: half an 8-bit step, in code values [0, 1].
+DEFAULT_TOLERANCE = 0.5 / 255.0
+
+
+@dataclass(frozen=True)
+class Bound:
+    """An upper bound on the change of a picture."""
+
+    radiance: float
+    """Largest change of any channel of any pixel; may be infinite."""
+    reason: str
+    """The quantity that decides it, in a few words, for the table of the plan."""
