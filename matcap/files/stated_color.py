@@ -313,20 +313,6 @@ def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
             yield head[4:], data
 
 
-def jpeg_segments(path: Path) -> Iterator[tuple[int, bytes]]:
-    """(marker, data) of a JPEG's segments before its scan, up to where the file is damaged."""
-    with path.open("rb") as file:
-        file.seek(2)
-        while len(head := file.read(2)) == 2 and head[0] == 0xFF:
-            if head[1] == 0xFF:  # a fill byte
-                file.seek(-1, 1)
-                continue
-            length = int.from_bytes(file.read(2), "big")
-            if head[1] in (0xD9, 0xDA) or length < 2:
-                return
-            yield head[1], file.read(length - 2)
-
-
 def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
     """(type, data) of a WebP's chunks except image data."""
     with path.open("rb") as file:

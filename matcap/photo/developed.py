@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files import bmff
 from matcap.files.color import Linearise, largest_code
-from matcap.files.pixels import NO_END, unsupported_jpeg, with_end
+from matcap.files.jpeg import NO_END, unsupported_jpeg, with_end
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, FocalPlane, read_exif

@@ -10,7 +10,8 @@ from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.stated_color import jpeg_segments, png_chunks, riff_chunks
+from matcap.files.jpeg import jpeg_segments
+from matcap.files.stated_color import png_chunks, riff_chunks
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
 #

@@ -32,6 +32,7 @@ _HIGHEST_DEGREE = 8  # of a MapPolynomial
 # Differences of black levels, over the range of light, that matter: where LibRaw gives them to the
 # wrong colours, and where it scales by the least of them.
 _LEAST_SPREAD, _SPREAD = 1e-3, 1e-2
+_LARGEST_PATTERN = 64  # photosites a side, of black levels; a damaged file may claim any
 _PATTERNS = ((2, 2), (6, 6))  # of mosaics: Bayer, X-Trans
 
 
@@ -77,6 +78,8 @@ def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32
     samples = samples[..., None] if flat else samples
     height, width, planes = samples.shape
     rows, columns = _whole(page, _REPEAT, (1, 1))
+    if not (1 <= rows <= _LARGEST_PATTERN and 1 <= columns <= _LARGEST_PATTERN):
+        raise ValueError("a pattern of black levels that no sensor has")
     pattern = np.resize(value(page, BLACK, (0.0,)), rows * columns * planes)
     pattern = pattern.reshape(rows, columns, planes).astype(np.float32)
     black = pattern[np.arange(height)[:, None] % rows, np.arange(width)[None] % columns]

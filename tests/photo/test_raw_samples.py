@@ -224,3 +224,12 @@ def test_levels_crop_and_shading_together(tmp_path, light):
     photo = load_photo(path, noise=False)
     assert photo.gain_map_applied
     np.testing.assert_allclose(photo.pixels[4:-4, 4:-4], light[12:68, 20:108], atol=0.01)
+
+
+@pytest.mark.parametrize("side", [0, 65535])
+def test_a_pattern_of_black_levels_that_no_sensor_has_is_refused(tmp_path, light, side):
+    """Before memory for it is asked for."""
+    more = [(50713, 3, 2, (side, side), True)]
+    path = write_dng(tmp_path / "a.dng", mosaic(light), more=more)
+    with pytest.raises(MatcapError, match="truncated or damaged"):
+        load_photo(path)
