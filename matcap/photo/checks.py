@@ -325,7 +325,7 @@ _TABLE = (
     ),
     QualityCheck(
         "texture", "distance of texture statistics", "times that between parts of the photograph",
-        (1.25, 1.6, 2.3),
+        (1.1, 1.5, 2.3),
         "the texture differs from the photograph {value:.1f} times as much as two parts of the "
         "photograph differ from each other",
         unknown="the picture is too small to compare textures",
