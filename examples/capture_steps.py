@@ -34,6 +34,7 @@ from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, pred
 from matcap.capture.exemplar.refine import refine_maps
 from matcap.capture.rectified import Rectified, fit_photograph
 from matcap.field.material import Material
+from matcap.flash.highlight import limit_sparkles
 from matcap.photo.photo import Photo
 
 Prior = Callable[[Observation], tuple[Observation, NetworkPrediction]]
@@ -54,6 +55,7 @@ def flat_prior(observed: Observation) -> tuple[Observation, NetworkPrediction]:
 
 def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matcap.MapSet]:
     """A photograph to a material, and to the maps of the photographed rectangle."""
+    photo = limit_sparkles(photo)  # lone glints above white are lower bounds
     coarse = fit_photograph(photo)  # camera, flash, tone curve and a uniform material
     rectified = Rectified.of(photo.linearised(coarse.tone), coarse, max(photo.pixels.shape))
 
@@ -65,9 +67,10 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     exemplar = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
     exemplar = transfer_detail(exemplar, rectified.whole, coarse)
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
-    exemplar, example = indexed(
-        scaled(exemplar, scale).rounded(), rectified.waves, turned=photo.turned
-    )
+    exemplar = scaled(exemplar, scale).rounded()
+    whole = rectified.whole  # fields show nothing from outside of the photograph's frame
+    kept = None if whole.left_out is None else whole.kept.numpy()
+    exemplar, example = indexed(exemplar, rectified.waves, turned=photo.turned, kept=kept)
     material = Material(
         name=photo.stem,
         generators={"example": example},

@@ -32,7 +32,7 @@ Keys:
         x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
         `picture`, of the coarse fit without the branch; null of several photographs, where
         registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
-        r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/tone.py) or
+        r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/photo.py) or
         null.
     texel_size: plane units.
     settings: of the user.

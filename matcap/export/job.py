@@ -142,7 +142,7 @@ class ExportJob:
     """The maps with an equal margin on every side, if they are a tile of a texture set; not
     periodic."""
     tiles: TextureSet | None = None
-    """The texture set of which this job is the first tile (udim.py)."""
+    """The texture set of which this job is the first tile (TextureSet)."""
 
     def check_formats(self, reader: str, containers: Sequence[Container], *, floats: bool) -> None:
         """Raise UsageError for options of textures that a target's files or programs cannot hold.

@@ -81,7 +81,7 @@ def config_document(config: DecoderConfig) -> dict[str, Any]:
     document = asdict(config)
     if not config.drawing:
         del document["drawing"]
-    return document
+    return document | {"grains": 0}  # structured noise of earlier versions
 
 
 def empty_decoder(config: DecoderConfig) -> Decoder:

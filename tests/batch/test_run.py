@@ -356,16 +356,16 @@ def test_close_stops_work_at_once(workers):
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 def test_workers_end_when_the_main_process_is_killed():
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); import test_run as t\n"
+        "import sys; sys.path[:0] = sys.argv[1:]; import test_run as t\n"
         "if __name__ == '__main__':\n"
         "    workers = t.Processes(1, t.work, t.prepare)\n"
         "    workers.start('sleep'); workers.wait(20)\n"
         "    worker = next(iter(workers._working.values()))[0]\n"
         "    print(worker._process.pid, flush=True); workers.wait(60)\n"
     )
-    folder = str(Path(__file__).parent)
+    folders = [str(Path(__file__).parents[above]) for above in (0, 1)]
     main = subprocess.Popen(
-        [sys.executable, "-c", code, folder], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        [sys.executable, "-c", code, *folders], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     )
     assert main.stdout is not None
     with main.stdout:

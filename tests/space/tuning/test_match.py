@@ -8,6 +8,8 @@ import torch
 from simulated.materials import piece
 from simulated.photographs import PhoneCamera, as_photo, take
 from tuning import CODE, SETUP, WINDOW, photograph, scene, start, tune
+from tuning import HEIGHT as TUNING_HEIGHT
+from tuning import WIDTH as TUNING_WIDTH
 from uniform import a_setup
 from uniform import photograph as uniform
 
@@ -319,7 +321,8 @@ def test_where_nothing_was_seen_all_windows_stay():
 # Noise is no texture: renderings get it before they are compared with a noisy photograph.
 
 
-SENSOR_NOISE_BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
+NOISE_BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
+SEEN = torch.ones(TUNING_HEIGHT, TUNING_WIDTH, dtype=torch.bool)
 
 
 def draw(linear, seed, strength=0.1):
@@ -331,14 +334,14 @@ def draw(linear, seed, strength=0.1):
 def test_the_truth_is_nearest_when_its_noise_is_drawn_too():
     clean = photograph()
     noisy = clean + draw(clean, 1)
-    encoding = fit_encoding(noisy, VALID)
-    windows = cut_windows(Plane(noisy, VALID, draw(clean, 2), encoding), SENSOR_NOISE_BANK, WINDOW)
+    encoding = fit_encoding(noisy, SEEN)
+    windows = cut_windows(Plane(noisy, SEEN, draw(clean, 2), encoding), NOISE_BANK, WINDOW)
     places = [(x, y) for y in (0, 16) for x in (0, 24, 48)]
     rendered = torch.stack([clean[:, y : y + WINDOW, x : x + WINDOW] for x, y in places])
     assert windows.noise.shape == rendered.shape
 
     def apart(pictures):
-        found = describe(pictures, encoding, SENSOR_NOISE_BANK)
+        found = describe(pictures, encoding, NOISE_BANK)
         return float(distance(found, windows.target, Weights()).mean())
 
     assert apart(with_noise(rendered, windows.noise, 3)) < 0.75 * apart(rendered)
@@ -348,7 +351,10 @@ def test_what_is_noise_alone_is_not_amplified():
     """Grey texture with coloured noise: without knowing better, colour is scaled up."""
     clean = photograph().mean(dim=0, keepdim=True).expand(3, -1, -1)
     noisy = clean + draw(clean, 1, 0.2)
-    both = [fit_encoding(noisy, VALID), fit_encoding(noisy, VALID, draw(clean, 2, 0.2))]
+    both = [
+        fit_encoding(noisy, SEEN),
+        fit_encoding(noisy, SEEN, draw(clean, 2, 0.2)),
+    ]
     colour, grey = torch.tensor([1.0, -1.0, 0.0]), torch.ones(3)
     amplified = [
         float((each.matrix @ colour).norm() / (each.matrix @ grey).norm()) for each in both
@@ -358,11 +364,11 @@ def test_what_is_noise_alone_is_not_amplified():
 
 def test_no_noise_changes_nothing_and_all_noise_does_no_harm():
     linear = photograph()
-    plain = fit_encoding(linear, VALID)
-    none = fit_encoding(linear, VALID, torch.zeros_like(linear))
+    plain = fit_encoding(linear, SEEN)
+    none = fit_encoding(linear, SEEN, torch.zeros_like(linear))
     torch.testing.assert_close(plain.matrix, none.matrix)
     flat = torch.full_like(linear, 0.3)
-    only = fit_encoding(flat + draw(flat, 1, 0.05), VALID, draw(flat, 2, 0.08))
+    only = fit_encoding(flat + draw(flat, 1, 0.05), SEEN, draw(flat, 2, 0.08))
     assert bool(torch.isfinite(only.matrix).all())
 
 
