@@ -48,10 +48,13 @@ Keys:
         that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
         1), `patches` (their size, in words), `relief_spectrum` (root-mean-square slope and log
         albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null), `sharpness`
-        (power of the finest octave, re-rendering over photograph), `confidence` (mean, by map),
-        `specular_channels` (3 if F0 has a colour), `highlight_residue` (radial variation about the
-        mirror point: of the logarithms of `albedo`, `specular` and `grain`, the amplitude of
-        relief, and of `roughness`).
+        (power of the finest octave, re-rendering over photograph), `level_deviation`
+        (standard deviation of the logarithm of a dielectric's albedo over its F0, to which one
+        photograph fixes its level; or null), `diffuse_share_residual` (of the share by ring against
+        the colour contrast of texture, in standard deviations, root mean square; or null),
+        `confidence` (mean, by map), `specular_channels` (3 if F0 has a colour),
+        `highlight_residue` (radial variation about the mirror point: of the logarithms of
+        `albedo`, `specular` and `grain`, the amplitude of relief, and of `roughness`).
     multi_view: of several photographs of one sample, or null: `photographs` (name, `flash`, false
         if lit by ambient light, `matches` with the first, their `correlation`, `position` of the
         camera in plane units, tilt, `position_deviation` over the distance, `residual` of the
@@ -367,6 +370,8 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "patches": summary(estimate.example).patches_text(),
         "relief_spectrum": spectrum and spectrum.document(),
         "sharpness": estimate.sharpness,
+        "level_deviation": estimate.level_deviation,
+        "diffuse_share_residual": estimate.diffuse_share_residual,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
         "highlight_residue": result.measurements.exemplar.residue,

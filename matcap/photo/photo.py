@@ -84,6 +84,10 @@ class ToneCurve:
         light = np.power(power, 1.0 / self.exponent) * np.maximum(picture, 1.0)
         return np.asarray(light, picture.dtype)
 
+    def slope_by_shoulder(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """Derivative by w of log(d log y / d log light), at developed light y in [0, 1]."""
+        return np.asarray(-picture / (1.0 - self.shoulder * picture), picture.dtype)
+
 
 # Errors of load_photo for files that it cannot use.
 

@@ -266,6 +266,13 @@ def test_a_coloured_flash_does_not_colour_a_black_dielectric():
     assert raw.setup.intensity[2] / raw.setup.intensity[0] == pytest.approx(1.0, abs=0.01)
 
 
+def test_the_level_of_albedo_is_surer_where_a_highlight_shows_f0():
+    """One photograph measures albedo over F0, which is all that fixes its level."""
+    glossy, matte = (fit_coarse(made(roughness=r)[1]).level_deviation for r in (0.3, 0.95))
+    assert 0.0 < glossy < 0.5
+    assert matte > 1.5 * glossy
+
+
 # Highlights are found where the plane mirrors the flash, and coarse fits keep them.
 
 

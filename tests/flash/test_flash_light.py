@@ -162,7 +162,7 @@ def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> Non
         *grey.vignetting_centre, 0.0,
     )  # fmt: skip
     unknowns = Unknowns.of(torch.tensor(parameters).double())
-    coarse = log_radiance(unknowns, image.flatten(1), grey.distance).exp()
+    coarse = log_radiance(unknowns, image.flatten(1), grey.distance)[0].exp()
     uniform, _ = uniform_radiance(fit, FlashLight.of(grey, points))
     assert torch.allclose(coarse.reshape(picture.shape), picture, rtol=1e-6)
     assert torch.allclose(uniform, picture, rtol=1e-6)

@@ -26,6 +26,7 @@ from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.material_classes import find_mixture
 from matcap.capture.exemplar.mean_parameters import (
+    diffuse_share_residual,
     most_probable_scale,
     scaled,
 )
@@ -79,6 +80,11 @@ class ExemplarEstimate:
     """Report on several photographs; None for one."""
     scale: float = 1.0
     """Factor on albedo and F0 by mean_parameters.py; the flash is divided by it."""
+    level_deviation: float | None = None
+    """Standard deviation of log albedo over F0 of a dielectric (CoarseFit); None of others."""
+    diffuse_share_residual: float | None = None
+    """Root mean square of standardised residuals of the diffuse share by ring (mean_parameters.py);
+    None where texture shows none."""
     turned: bool = False
     """Whether the maps are rotated to a portrait photograph's orientation."""
     kept: TexelMask | None = None
@@ -183,7 +189,17 @@ def estimate_exemplar(
     seen = residual[:, plane.valid].abs()
     error = float(seen.median()) if seen.numel() else 0.0
     estimate = ExemplarEstimate(
-        exemplar, example, spectrum, error, float(slow.abs().mean()), scale=scale, turned=turned
+        exemplar,
+        example,
+        spectrum,
+        error,
+        float(slow.abs().mean()),
+        scale=scale,
+        level_deviation=coarse.level_deviation,
+        diffuse_share_residual=diffuse_share_residual(
+            observed.ring_target(prediction.residuals, prediction.classes.metal)
+        ),
+        turned=turned,
     )
     return replace(estimate, kept=_upright(kept, turned=turned)).with_sharpness(rectified)
 

@@ -5,7 +5,7 @@ stationary, so maps are copied there from visible places, in three steps:
 
 1. remaining_highlight: texels whose albedo still has the highlight lose their confidence;
 2. transport: blocks with too little confidence get the maps of others [aittala2015];
-3. composed: albedo and height are joined to their surroundings without steps [perez2003].
+3. composed: all maps are joined to their surroundings without steps [perez2003].
 """
 
 from __future__ import annotations
@@ -148,19 +148,23 @@ def transport(
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, planes, ~hidden, photograph)
     source, copied = _sources(chosen, hidden)
-    # F0 and roughness are constant in a class and have steps between classes: no blending.
-    maps = planes.high_passed[:, source[0], source[1]]
+    stacked, slow = planes.high_passed, planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
-    log_albedo = np.log(planes.high_passed[DIFFUSE].clip(DARKEST))
-    drawing = np.concatenate([log_albedo, planes.high_passed[HEIGHT] / texel])
-    *albedo, fine = composed(drawing, source, copied, _SEAM_REACH)
-    slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
+    drawing = np.concatenate(
+        [
+            np.log(stacked[DIFFUSE].clip(DARKEST)),
+            np.log(stacked[SPECULAR].clip(DARKEST)),
+            stacked[ROUGHNESS],
+            stacked[HEIGHT] / texel,
+        ]
+    )
+    blended = composed(drawing, source, copied, _SEAM_REACH)
     return replace(
         exemplar,
-        diffuse=np.where(copied, np.exp(np.stack(albedo)), exemplar.diffuse).clip(0.0, 1.0),
-        specular=maps[SPECULAR].clip(0.0, 1.0),
-        roughness=maps[ROUGHNESS].clip(0.0, 1.0),
-        height=np.where(copied, fine * texel + slow, exemplar.height),
+        diffuse=np.where(copied, np.exp(blended[DIFFUSE]), exemplar.diffuse).clip(0.0, 1.0),
+        specular=np.where(copied, np.exp(blended[SPECULAR]), exemplar.specular).clip(0.0, 1.0),
+        roughness=np.where(copied, blended[ROUGHNESS], exemplar.roughness).clip(0.0, 1.0),
+        height=np.where(copied, blended[HEIGHT] * texel + slow, exemplar.height),
     )
 
 
@@ -400,8 +404,13 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
     Returns:
         (C, H, W) u; m where not free.
     """
-    if not free.any():
+    varying = np.ptp(maps, axis=(1, 2)) > 0.0  # a class's F0 is constant
+    if not (free.any() and varying.any()):
         return maps
+    if not varying.all():
+        whole = maps.copy()
+        whole[varying] = composed(maps[varying], source, free, reach)
+        return whole
     rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
     box = tuple(
         slice(max(0, line[0] - 1), min(side, line[-1] + 2))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -37,6 +38,7 @@ from matcap.capture.exemplar.relief_spectrum import (
 )
 from matcap.files.color import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
+from matcap.flash.diffuse_share import DiffuseRings, measure_diffuse_share, undeveloped
 from matcap.flash.geometry import (
     flash_mirror_point,
     plane_points,
@@ -50,6 +52,7 @@ from matcap.flash.light import (
     strips,
 )
 from matcap.flash.rectify import Plane, inside
+from matcap.photo.photo import ToneCurve
 
 AROUND = 8.0  # texels, standard deviation of local averages
 # Log radiance added in quadrature to the noise before channels are weighted by it. Fine detail of a
@@ -223,6 +226,26 @@ class Observation:
         seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
         return replace(self, light=replace(self.light, tint=specular_tint(metal, seen)))
 
+    @cached_property
+    def diffuse(self) -> DiffuseRings | None:
+        """Colour scatter of the texture by ring around the mirror point; None without colour."""
+        plane, tone = self.plane, None
+        pixels = np.ascontiguousarray(plane.linear.permute(1, 2, 0).numpy())
+        if self.coarse.tone != ToneCurve():
+            pixels, tone = undeveloped(
+                self.coarse.tone.developed(pixels), self.coarse.tone.exponent
+            )
+        measured = measure_diffuse_share(
+            pixels,
+            (self.within & plane.measured.all(0)).numpy(),
+            flash_mirror_point(self.coarse.setup),
+            developed=plane.developed,
+            noise=None if plane.noise is None else plane.noise.permute(1, 2, 0).numpy(),
+            tone=tone,
+        )
+        colour = torch.tensor(self.coarse.setup.intensity, dtype=torch.float64)
+        return None if measured is None else measured.under(colour)
+
     def ring_target(self, residuals: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
         """Target of fit_mean_parameters: the photograph around its mirror point, with a surface.
 
@@ -240,6 +263,7 @@ class Observation:
             surface=self.light.uniform + residuals,
             tints=tuple(self.light.tint if each else 1.0 for each in metal),
             limit=self.plane.encoding.limit,
+            diffuse=self.diffuse if metal == (False,) else None,
         )
 
 

@@ -82,8 +82,8 @@ def numbers(*values: float) -> Tensor:
 
 def log_radiance(
     unknowns: Unknowns, image: Tensor, distance: float, *, conductor: bool = False
-) -> Tensor:
-    """(3, n) log radiance of the uniform material.
+) -> tuple[Tensor, Tensor]:
+    """(3, n) log radiance of the uniform material, and (n,) its diffuse share under a white flash.
 
     Args:
         unknowns: the parameters.
@@ -106,7 +106,10 @@ def log_radiance(
         torch.sigmoid(unknowns.roughness)[:, None, None],
     )
     lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
-    return ((incidence.radiance(*surface) + _DARKEST).log() + lost).flatten(1)
+    matte, mirrored = incidence.matte(surface.diffuse), incidence.mirrored(*surface[1:])
+    radiance = (matte + mirrored) * incidence.irradiance
+    share = matte.mean(0) / (matte + mirrored).mean(0).clamp_min(_DARKEST)
+    return ((radiance + _DARKEST).log() + lost).flatten(1), share.flatten()
 
 
 def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:

@@ -27,6 +27,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import (
@@ -42,6 +43,7 @@ from matcap.flash.coarse.cells import (
 )
 from matcap.flash.coarse.problem import (
     HUBER,
+    TONE,
     WEIGHT_BETWEEN,
     WHITE,
     HighlightMeasurements,
@@ -50,10 +52,23 @@ from matcap.flash.coarse.problem import (
     TiltPrior,
     hypothesis,
 )
+from matcap.flash.diffuse_share import (
+    ACROSS,
+    DiffuseShare,
+    measure_diffuse_share,
+    undeveloped,
+)
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.light import Uniform
-from matcap.photo.photo import Photo, ToneCurve
+from matcap.photo.left_out import (
+    CLIPPED_SHARE,
+    area_averaged,
+)
+from matcap.photo.photo import (
+    Photo,
+    ToneCurve,
+)
 
 # Cells across the long side and across the highlight's patch: of the coarse grid for all starting
 # points, and of the fine one for the best.
@@ -99,6 +114,9 @@ class CoarseFit(Uniform):
     """(tilt_x, tilt_y) fitted without that prior, radians; None without one."""
     tone: ToneCurve = ToneCurve()
     """The picture's tone curve; the identity where it has none."""
+    level_deviation: float | None = None
+    """Standard deviation of log albedo over F0, the level of a dielectric's albedo; None of a
+    conductor, and of fits not made from a photograph."""
 
 
 def fit_coarse(
@@ -118,16 +136,17 @@ def fit_coarse(
     """
     highlight = find_highlight(light_of(photo.pixels))
     coarse, fine = (cells_of(photo, highlight, *grid) for grid in _GRIDS)
+    share = diffuse_share_of(photo, highlight)
     dielectric, metal = (
         _fitted_coarsely(
             photo, coarse, highlight, hypothesis(photo, tilt, tilt_prior, conductor=conductor)
         )
         for conductor in (False, True)
     )
-    chosen, dielectric_cost, _ = _fitted(photo, fine, dielectric)
+    chosen, dielectric_cost, _ = _fitted(photo, fine, share, dielectric)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
     if known_metal or (known_metal is None and metal.least_cost <= dielectric.least_cost):
-        conductor, cost, nat = _fitted(photo, fine, metal)
+        conductor, cost, nat = _fitted(photo, fine, share, metal)
         red, _, blue = conductor.diffuse
         is_metal = (
             dielectric_cost - cost > _CONDUCTOR_ODDS * nat
@@ -156,6 +175,26 @@ class _CoarselyFitted:
         return self.minima[0][0]
 
 
+def diffuse_share_of(photo: Photo, highlight: Highlight | None) -> DiffuseShare | None:
+    """Colour scatter of a photograph's rings around its highlight, or its middle without one."""
+    columns = photo.pixels.shape[1]
+    every = max(1, round(columns / ACROSS))
+    size = tuple(side // every for side in photo.pixels.shape[1::-1])
+    seen = ~photo.clipped if photo.left_out is None else ~(photo.clipped | photo.left_out)
+    pixels = area_averaged(photo.pixels, size)
+    tone = None
+    if photo.tone_mapped:
+        pixels, tone = undeveloped(pixels, math.exp(TONE.mean))
+    return measure_diffuse_share(
+        pixels,
+        area_averaged(seen.astype(np.float32), size) > 1.0 - CLIPPED_SHARE,
+        (0.0, 0.0) if highlight is None else highlight.centre,
+        noise=None if photo.noise is None else area_averaged(photo.noise, size),
+        tone=tone,
+        developed=not photo.radiometric,
+    )
+
+
 def _fitted_coarsely(
     photo: Photo, cells: CoarseCells, highlight: Highlight | None, prior: Hypothesis
 ) -> _CoarselyFitted:
@@ -167,6 +206,7 @@ def _fitted_coarsely(
         measurements=None
         if highlight is None
         else HighlightMeasurements(highlight, headroom=photo.headroom),
+        diffuse_share=None,
         prior=prior.mean.vector(),
         precision=unit * prior.precision,
         unit=unit,
@@ -179,13 +219,19 @@ def _fitted_coarsely(
 
 
 def _fitted(
-    photo: Photo, cells: CoarseCells, coarse: _CoarselyFitted
+    photo: Photo,
+    cells: CoarseCells,
+    diffuse_share: DiffuseShare | None,
+    coarse: _CoarselyFitted,
 ) -> tuple[CoarseFit, float, float]:
     """The most probable fit on fine cells, its cost, and the cost of a nat of the prior."""
     prior, last = coarse.prior, replace(coarse.problem, cells=cells)
     initial = [parameters for _, parameters in coarse.minima]
     if photo.radiometric:
         last = last.whitened(initial[0]).with_estimated_noise(initial[0])
+    if diffuse_share is not None:
+        # Of a flash whose colour is free, scatter could be fitted by that alone.
+        last = replace(last, diffuse_share=diffuse_share.under(Unknowns.of(initial[0]).flash.exp()))
     best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
     picture_tilt = None
@@ -200,6 +246,7 @@ def _fitted(
         conductor=prior.conductor,
         picture_tilt=picture_tilt,
         tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
+        level_deviation=None if prior.conductor else last.level_deviation(best),
     )
     return fit, last.cost(best), last.unit
 

@@ -20,6 +20,7 @@ from matcap.flash.coarse.cells import (
     mirror_point,
     numbers,
 )
+from matcap.flash.diffuse_share import DiffuseRings
 from matcap.flash.highlight import SURROUNDINGS, Highlight
 from matcap.flash.least_squares import huber, minimised
 from matcap.photo.photo import Development, Photo
@@ -48,6 +49,7 @@ class Gaussian(NamedTuple):
 
 # Of log F0: index of refraction 1.5, and metals.
 DIELECTRIC_F0, CONDUCTOR_F0 = Gaussian(math.log(0.04), 0.15), Gaussian(math.log(0.5), 0.5)
+TONE = Gaussian(0.12, 0.08)  # of the log exponent of a tone curve
 # Mean and standard deviation of each unknown.
 _PRIORS = {
     "albedo": ([math.log(0.2)] * 3, [1.5] * 3),
@@ -136,8 +138,9 @@ def hypothesis(
 
 # The coarse fit's cost, its normal equations, and its minimisation.
 #
-# With the residuals r_i in log radiance of cells and of the highlight (HighlightMeasurements),
-# their weights w_i, the parameters x and the prior's mean m and precision P (problem.py),
+# With the residuals r_i in log radiance of cells, of the highlight (HighlightMeasurements) and of
+# the diffuse share by ring (flash/diffuse_share.py), their weights w_i, the parameters x and the
+# prior's mean m and precision P (problem.py),
 #
 # cost = sum_i w_i huber(r_i) + (x - m)^T P (x - m) / 2.
 #
@@ -231,6 +234,8 @@ class Problem:
     """Distance of the camera."""
     measurements: HighlightMeasurements | None
     """Measurements of the highlight, or None."""
+    diffuse_share: DiffuseRings | None
+    """Colour scatter of the texture by ring, or None."""
     prior: Tensor
     """(n,) the prior's mean."""
     precision: Tensor
@@ -244,19 +249,21 @@ class Problem:
     conductor: bool = False
     """`albedo` of the parameters is F0, and nothing is diffuse."""
 
-    def log_radiance(self, parameters: Tensor, image: Tensor) -> Tensor:
-        """(3, n) log radiance at image coordinates (2, n), tone curve included."""
+    def log_radiance(self, parameters: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
+        """(3, n) log radiance at image coordinates (2, n), tone curve included, and (n,) its
+        diffuse share.
+        """
         unknowns = Unknowns.of(parameters)
-        linear = log_radiance(unknowns, image, self.distance, conductor=self.conductor)
+        linear, share = log_radiance(unknowns, image, self.distance, conductor=self.conductor)
         if self.shoulder is None:  # no tone curve, whatever the exponent
-            return linear
+            return linear, share
         # The logarithm of ToneCurve.developed().
         power = unknowns.tone.exp() * linear
-        return power - (1.0 + self.shoulder * power.expm1()).log()
+        return power - (1.0 + self.shoulder * power.expm1()).log(), share
 
     def differences(self, parameters: Tensor) -> Tensor:
         """(3, n) log radiance of the model less that of the cells."""
-        return self.cells.differences(self.log_radiance(parameters, self.cells.image))
+        return self.cells.differences(self.log_radiance(parameters, self.cells.image)[0])
 
     def whitened(self, parameters: Tensor) -> Problem:
         """The problem with channels whitened by the residuals at `parameters`.
@@ -288,20 +295,18 @@ class Problem:
     def weight(self) -> Tensor:
         """(residuals,) weight of each residual."""
         each = self.cells.weight.repeat(3)
-        return (
-            each
-            if self.measurements is None
-            else F.pad(each, (0, 7), value=self.measurements.weight)
-        )
+        if self.measurements is not None:
+            each = F.pad(each, (0, 7), value=self.measurements.weight)
+        if self.diffuse_share is not None:
+            each = F.pad(each, (0, len(self.diffuse_share.log_scatter)), value=self.unit / HUBER**2)
+        return each
 
     @cached_property
     def _image(self) -> Tensor:
-        """(2, n) image coordinates of cells and of the highlight's measurements."""
-        parts = [
-            self.cells.image,
-            *([] if self.measurements is None else [self.measurements.image]),
-        ]
-        return torch.cat(parts, dim=1)
+        """(2, n) image coordinates of cells, of the highlight's measurements and of rings."""
+        measured = [] if self.measurements is None else [self.measurements.image]
+        rings = [] if self.diffuse_share is None else [self.diffuse_share.image.flatten(1)]
+        return torch.cat([self.cells.image, *measured, *rings], dim=1)
 
     @cached_property
     def _whole(self) -> Tensor:
@@ -310,19 +315,26 @@ class Problem:
 
     def residuals(self, parameters: Tensor) -> Tensor:
         """(residuals,) residuals at the parameters, in log radiance."""
-        cells, measurements = self.cells, self.measurements
-        everywhere = self.log_radiance(parameters, self._image)
-        difference = cells.differences(everywhere[:, : cells.image.shape[1]])
+        cells, unknowns = self.cells, Unknowns.of(parameters)
+        everywhere, share = self.log_radiance(parameters, self._image)
+        count = cells.image.shape[1]
+        difference = cells.differences(everywhere[:, :count])
         # Of a lower bound, only a darker model has a residual.
         bounded = torch.where(difference > 0.0, difference * cells.above, difference)
         if self.whitening is not None:
             bounded = torch.where(self._whole, self.whitening @ difference, bounded)
-        difference = bounded.flatten()
-        if measurements is None:
-            return difference
-        mirror = mirror_point(Unknowns.of(parameters), self.distance)
-        seen = everywhere[:, cells.image.shape[1] :]
-        return torch.cat([difference, HUBER * measurements.residuals(mirror, seen)])
+        parts = [bounded.flatten()]
+        if self.measurements is not None:
+            mirror = mirror_point(unknowns, self.distance)
+            end = count + self.measurements.image.shape[1]
+            parts.append(HUBER * self.measurements.residuals(mirror, everywhere[:, count:end]))
+            count = end
+        if self.diffuse_share is not None:
+            rings = share[count:].unflatten(0, self.diffuse_share.image.shape[1:]).mean(1)
+            # A conductor's texture is that of its F0, which no other light veils.
+            seen = torch.ones_like(rings) if self.conductor else rings
+            parts.append(HUBER * self.diffuse_share.residuals(seen))
+        return torch.cat(parts)
 
     def quadratic(self, parameters: Tensor, r: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without bounds.
@@ -334,6 +346,13 @@ class Problem:
         weight = self.weight * huber(r, HUBER)[1]
         hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
         return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
+
+    def level_deviation(self, parameters: Tensor) -> float:
+        """Standard deviation of log albedo over F0 of a dielectric, by Laplace's method."""
+        hessian, _ = self.quadratic(parameters)
+        ratio = torch.zeros_like(parameters)
+        ratio[INDEX.albedo], ratio[INDEX.specular] = 1.0 / 3.0, -1.0
+        return float((ratio @ torch.linalg.solve(hessian / self.unit, ratio)).sqrt())
 
     def bound_excess(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """(n,) each: how far parameters are beyond their bounds, and the prior's precision there.

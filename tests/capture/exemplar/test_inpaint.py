@@ -271,6 +271,17 @@ def test_a_wrong_slope_of_the_highlight_is_no_scratch(shot: Photographed) -> Non
     assert _likeness(_lent(brighter, exemplar), shot) > 0.7
 
 
+def test_blocks_leave_no_steps_in_roughness(shot: Photographed) -> None:
+    """Roughness that varies slowly differs between the places that blocks are copied from."""
+    across = np.linspace(0.3, 0.6, 512, dtype=np.float32)
+    exemplar = _hidden(shot)
+    exemplar = replace(exemplar, roughness=np.broadcast_to(across, exemplar.roughness.shape).copy())
+    filled = _lent(shot, exemplar, HOLE).roughness[0]
+    steps = max(np.abs(np.diff(filled, axis=axis)).max() for axis in (0, 1))
+    assert np.abs(filled - exemplar.roughness[0]).max() > 0.01
+    assert steps < 0.03
+
+
 # Copied texels meet without steps, and keep what they draw.
 
 

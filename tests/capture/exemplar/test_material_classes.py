@@ -25,6 +25,8 @@ from matcap.capture.exemplar.material_classes import (
 from matcap.capture.exemplar.mean_parameters import (
     MeanParameterPrior,
     RingTarget,
+    _RingFit,
+    diffuse_share_residual,
     fit_mean_parameters,
     most_probable_scale,
     scaled,
@@ -32,6 +34,7 @@ from matcap.capture.exemplar.mean_parameters import (
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.refine import refine_albedo
 from matcap.example.exemplar import Exemplar
+from matcap.flash.diffuse_share import DiffuseRings
 from matcap.flash.geometry import FlashSetup, flash_mirror_point
 from matcap.flash.light import FlashLight, Uniform, render_flash, render_rectified
 
@@ -272,6 +275,53 @@ def test_what_is_clipped_everywhere_is_raised_and_never_lowered() -> None:
 
 def _paler(by: float) -> SurfaceParameters:
     return SurfaceParameters.from_vector(torch.tensor([by, by, by, 0.0, 0.0]))
+
+
+def with_share(target: RingTarget, uniform: Uniform, share: float) -> RingTarget:
+    """The target with a texture of which every ring has a diffuse share, relative to the last."""
+    number = torch.tensor([0, 2, 4, 6])
+    log_scatter = torch.linspace(math.log(share), 0.0, 4, dtype=torch.float64)
+    free = torch.linalg.cholesky(0.01 * torch.eye(4, dtype=torch.float64) + 16.0)
+    whitening = torch.linalg.inv(free)
+    rings = DiffuseRings(log_scatter, number, torch.zeros(2, 4, 1, dtype=torch.float64), whitening)
+    return replace(target, diffuse=rings)
+
+
+def test_its_linearisation_is_the_derivative_of_its_residuals() -> None:
+    target, uniform = glossy(0.4, 0.3)
+    fit = _RingFit(with_share(target, uniform, 0.5), ONE, PRIOR)
+    theta = torch.tensor([0.1, -0.1, 0.05, 0.02, 0.2])
+    residual, columns = fit._linear(theta)
+    assert torch.allclose(residual, fit.residuals(theta), atol=1e-4)
+    for k, step in enumerate(0.01 * torch.eye(5)):
+        slope = (fit.residuals(theta + step) - fit.residuals(theta - step)) / 0.02
+        assert torch.allclose(-slope, columns[k], atol=0.03 * float(columns.abs().max()))
+
+
+def test_texture_without_a_veil_takes_a_lobe_for_light() -> None:
+    """The same profile of a highlight, whose texture keeps or loses its colour in the middle."""
+    target, uniform = glossy(0.5, 0.3)
+
+    def gloss(share: float) -> float:
+        levels, _ = fit_mean_parameters(
+            with_share(target, uniform, share), ONE, torch.zeros(1, 5), PRIOR
+        )
+        albedo, f0 = levels[0, :3].mean(), levels[0, 3]
+        return float(f0 - albedo)
+
+    assert gloss(1.0) < gloss(0.5)
+
+
+def test_the_residual_of_the_diffuse_share_is_in_standard_deviations() -> None:
+    target, uniform = glossy(0.5, 0.3)
+    assert diffuse_share_residual(target) is None
+    surface = replace(target, surface=uniform.parameters())
+    off = {share: diffuse_share_residual(with_share(surface, uniform, share)) for share in (0.1, 1)}
+    nearest = min(
+        diffuse_share_residual(with_share(surface, uniform, share)) or 0.0
+        for share in (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+    )
+    assert nearest < 1.0 < min(each or 0.0 for each in off.values())
 
 
 # Metal's colour: told by what is seen of it, and no colour where nothing is metal.
