@@ -21,8 +21,8 @@ from torch import Tensor, nn
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.photo.photo import Photo
-from matcap.space.decoder import residual_block
-from matcap.space.encoder import PICTURE_CHANNELS, picture
+from matcap.space.layers import residual_block
+from matcap.space.picture import PICTURE_CHANNELS, picture
 
 # Tilt from perspective: how the local spectra of a texture change across the picture.
 #

@@ -113,7 +113,7 @@ print(sorted(name for name in sys.modules if name.startswith("matcap.space")))
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     loaded = set(ast.literal_eval(done.stdout.strip().splitlines()[-1]))
-    branch = {"alignment", "convergence", "layers", "picture"}
+    branch = {"alignment", "layers", "picture"}
     assert loaded == {"matcap.space"} | {f"matcap.space.{name}" for name in branch}
 
 

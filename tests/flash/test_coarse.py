@@ -229,12 +229,12 @@ def test_a_measurement_is_pulled_towards_no_tilt_as_far_as_it_is_uncertain():
     assert std == pytest.approx([0.087 / math.sqrt(2.0), 0.001], rel=1e-3)
 
 
-def test_the_tone_curve_is_fitted_and_undone():
-    """Its prior holds it near 1.13: stronger curves are undone in part."""
+def test_the_tone_curve_of_a_phone_is_undone():
+    """Its prior holds it near 1.13, as falloff imitates it: stronger curves are undone in part."""
     setup = replace(a_setup(intensity=10.0), vignetting=0.4, vignetting_quartic=0.6)
     light = photograph(setup, roughness=0.4, noise=0.01)
     exponents = []
-    for exponent in (1.0, 1.3):
+    for exponent in (1.13, 1.3):
         pixels = ToneCurve(exponent, SHOULDER).developed(light.pixels)
         taken = replace(light, pixels=pixels, radiometric=False)
         tone = fit_coarse(taken).tone
@@ -243,8 +243,8 @@ def test_the_tone_curve_is_fitted_and_undone():
             np.log(picture / light.pixels)[light.pixels < 0.8].std()
             for picture in (taken.linearised(tone).pixels, pixels)
         )
-        assert undone < bent
-    assert exponents[1] > exponents[0] + 0.05
+        assert undone < (0.2 if exponent == 1.13 else 0.7) * bent
+    assert exponents[1] > exponents[0]
 
 
 def test_a_raw_has_no_tone_curve():

@@ -41,10 +41,7 @@ from matcap.space.alignment import (
     evidence,
     tilt_measurement,
 )
-from matcap.space.encoder import (
-    log_colour,
-    picture_coordinates,
-)
+from matcap.space.picture import log_colour, picture_coordinates
 from matcap_lab.simulate.kinds import KINDS, RandomKind, kind_of
 from matcap_lab.simulate.photograph import (
     PhoneCamera,

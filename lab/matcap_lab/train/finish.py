@@ -28,13 +28,8 @@ from matcap.space.decoder import (
     CODE_SIZE,
     Decoder,
 )
-from matcap.space.encoder import (
-    Encoder,
-    describe_windows,
-    numbers,
-    picture,
-    texture,
-)
+from matcap.space.encoder import Encoder, describe_windows, numbers, texture
+from matcap.space.picture import picture
 from matcap.space.prior.store import (
     VARYING,
     Anchor,

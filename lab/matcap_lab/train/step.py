@@ -42,13 +42,8 @@ from matcap.space.decoder import (
     DecoderConfig,
     maps_from_raw,
 )
-from matcap.space.encoder import (
-    Encoder,
-    EncoderConfig,
-    numbers,
-    picture,
-    texture,
-)
+from matcap.space.encoder import Encoder, EncoderConfig, numbers, texture
+from matcap.space.picture import picture
 from matcap.space.prior.store import (
     Base,
     Prior,

@@ -18,17 +18,12 @@ from matcap.space.decoder import (
     DecoderConfig,
     maps_from_raw,
 )
-from matcap.space.encoder import (
-    NUMBERS,
-    PICTURE_CHANNELS,
-    TEXTURE,
-    Encoder,
-    EncoderConfig,
-)
+from matcap.space.encoder import NUMBERS, TEXTURE, Encoder, EncoderConfig
 from matcap.space.freeze import (
     fold,
     freeze,
 )
+from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave

@@ -17,14 +17,8 @@ from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.space.decoder import DecoderConfig
-from matcap.space.encoder import (
-    FEATURES,
-    NUMBERS,
-    PICTURE_CHANNELS,
-    TEXTURE,
-    Encoder,
-    EncoderConfig,
-)
+from matcap.space.encoder import FEATURES, NUMBERS, TEXTURE, Encoder, EncoderConfig
+from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.prior.store import (
     base_of,
     fold,

@@ -33,10 +33,10 @@ from matcap.space.encoder import (
     EncoderConfig,
     describe_windows,
     numbers,
-    picture,
     texture,
 )
 from matcap.space.freeze import freeze
+from matcap.space.picture import picture
 from matcap.space.tuned import TunedDecoder, config_document, decoder_config, empty_decoder
 from matcap.space.tuning.match import head_start, log_contrast
 from matcap.statistics.lattice import Wave, find_lattice
