@@ -105,10 +105,12 @@ class Example:
         *,
         straight: bool = False,
         part: Frame | None = None,
+        one_light: bool = True,
     ) -> Example:
         """Index an exemplar that is rounded as in a file; arguments and errors of `of`.
 
         With `straight`, waves are exact and the lattice has no bend; fields show only a `part`.
+        `one_light`: see build_index.
         """
         bits = detail_bits(exemplar)
         coarse = coarsened(exemplar, bits)
@@ -116,7 +118,9 @@ class Example:
         if not level_count(*(part or Frame.of(*coarse.size)).size):
             raise ValueError(f"an exemplar of {exemplar.size} texels")
         scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
-        return Example(exemplar, build_index(coarse, scaled, straight=straight, part=part))
+        return Example(
+            exemplar, build_index(coarse, scaled, straight=straight, part=part, one_light=one_light)
+        )
 
     @property
     def alignment(self) -> int:

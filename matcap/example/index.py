@@ -174,6 +174,7 @@ def build_index(
     *,
     straight: bool = False,
     part: Frame | None = None,
+    one_light: bool = True,
 ) -> Index:
     """Compute the index of an exemplar.
 
@@ -182,6 +183,7 @@ def build_index(
         waves: approximate frequency vectors of its lattice, cycles per texel; or none.
         straight: whether they are exact, of a lattice without a bend.
         part: that fields may show, of at least 14 texels a side; None for all.
+        one_light: whether relief is known along one direction at each place (evenness.py).
     """
     shown = part or Frame.of(*exemplar.size)
     planes = planes_of(exemplar)
@@ -201,7 +203,8 @@ def build_index(
         candidates = list(pool.map(partial(_similar, shown), range(count), appearances))
     outstanding = _outstanding(planes[:3].mean(axis=0))
     penalty = np.maximum(_low_confidence(exemplar), _MOST * outstanding)
-    penalty = np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
+    if one_light:
+        penalty = np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
         for level, one in enumerate(candidates)
@@ -214,6 +217,7 @@ def build_index(
         lattice,
         round(float(outstanding.mean()), 4),
         part=part,
+        rule=RULE if one_light else 1,
     )
 
 

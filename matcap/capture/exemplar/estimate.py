@@ -226,7 +226,12 @@ def refined(
 
 
 def indexed(
-    exemplar: Exemplar, waves: tuple[Wave, ...], *, turned: bool, kept: TexelMask | None = None
+    exemplar: Exemplar,
+    waves: tuple[Wave, ...],
+    *,
+    turned: bool,
+    kept: TexelMask | None = None,
+    one_light: bool = True,
 ) -> tuple[Exemplar, Example]:
     """An exemplar, and its index with the smallest patches that keep its long structures.
 
@@ -240,6 +245,7 @@ def indexed(
         waves: frequency vectors of the lattice, cycles per texel.
         turned: whether to rotate both upright first, 90 degrees clockwise.
         kept: (H, W) texels that the photograph shows; None for all.
+        one_light: whether relief is known along one direction at each place, as from one flash.
     """
     if turned:
         # Rotated by 90 degrees clockwise, frequency (fx, fy) becomes (-fy, fx).
@@ -248,7 +254,9 @@ def indexed(
     flat = straightened(exemplar, waves)
     if flat is None:
         return exemplar, with_chosen_variety(
-            Example.of_rounded(exemplar, waves, part=None if kept is None else _shown(kept))
+            Example.of_rounded(
+                exemplar, waves, part=None if kept is None else _shown(kept), one_light=one_light
+            )
         )
     return exemplar, Example.of_rounded(*flat, straight=True).varied(LOWEST_VARIETY)
 

@@ -148,23 +148,27 @@ def transport(
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, planes, ~hidden, photograph)
     source, copied = _sources(chosen, hidden)
-    stacked, slow = planes.high_passed, planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
+    slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
-    drawing = np.concatenate(
-        [
-            np.log(stacked[DIFFUSE].clip(DARKEST)),
-            np.log(stacked[SPECULAR].clip(DARKEST)),
-            stacked[ROUGHNESS],
-            stacked[HEIGHT] / texel,
-        ]
-    )
-    blended = composed(drawing, source, copied, _SEAM_REACH)
+    blended = composed(_blended_scale(planes.high_passed, texel), source, copied, _SEAM_REACH)
     return replace(
         exemplar,
         diffuse=np.where(copied, np.exp(blended[DIFFUSE]), exemplar.diffuse).clip(0.0, 1.0),
         specular=np.where(copied, np.exp(blended[SPECULAR]), exemplar.specular).clip(0.0, 1.0),
         roughness=np.where(copied, blended[ROUGHNESS], exemplar.roughness).clip(0.0, 1.0),
         height=np.where(copied, blended[HEIGHT] * texel + slow, exemplar.height),
+    )
+
+
+def _blended_scale(stacked: Floats, texel: float) -> Floats:
+    """Maps in which blocks are blended: logarithms of albedo and F0, heights in texels."""
+    return np.concatenate(
+        [
+            np.log(stacked[DIFFUSE].clip(DARKEST)),
+            np.log(stacked[SPECULAR].clip(DARKEST)),
+            stacked[ROUGHNESS],
+            stacked[HEIGHT] / texel,
+        ]
     )
 
 

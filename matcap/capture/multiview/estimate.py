@@ -135,8 +135,10 @@ def estimate_multiview(
         metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
-    own = solved.residual[0], 0.0, 1.0, interrupted, report, scale, first.turned
-    result = ExemplarEstimate(exemplar, example, spectrum, *own)
+    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], 0.0)
+    result = replace(
+        result, interrupted=interrupted, several=report, scale=scale, turned=first.turned
+    )
     return rectified, result.with_sharpness(rectified)
 
 
@@ -317,4 +319,5 @@ def _indexed(
     known = photo.flash_intensity is not None
     own = exemplar.cut(*mosaic.margins.inside(mosaic.size))
     scale = 1.0 if known else most_probable_scale(own, metal)
-    return *indexed(scaled(exemplar, scale).rounded(), waves, turned=photo.turned), scale
+    exemplar = scaled(exemplar, scale).rounded()
+    return *indexed(exemplar, waves, turned=photo.turned, one_light=False), scale
