@@ -24,10 +24,7 @@ from matcap.capture.exemplar.estimate import (
     scaled_to_spectrum,
 )
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.mean_parameters import (
-    most_probable_scale,
-    scaled,
-)
+from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps

@@ -4,10 +4,7 @@ from dataclasses import replace
 
 from matcap.files.color import LINEAR
 from matcap.files.stated_color import StatedColor
-from matcap.photo.developed import (
-    Coded,
-    decode,
-)
+from matcap.photo.developed import Coded, decode
 from matcap.photo.exif import Exif
 from matcap.photo.load import _photo
 

@@ -6,19 +6,9 @@ from ctypes import byref, c_int64
 
 import numpy as np
 
-from matcap.relight.camera import (
-    Array,
-    Vec,
-    dot,
-    scale,
-)
+from matcap.relight.camera import Array, Vec, dot, scale
 from matcap.relight.environment_map import Octahedra
-from matcap.relight.loops.library import (
-    KeptArrays,
-    Pointer,
-    address,
-    loops,
-)
+from matcap.relight.loops.library import KeptArrays, Pointer, address, loops
 from matcap.relight.relief import Relief
 
 

@@ -7,12 +7,7 @@ import torch
 
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import (
-    CODE_SIZE,
-    DRAWING_CHANNELS,
-    Decoder,
-    DecoderConfig,
-)
+from matcap.space.decoder import CODE_SIZE, DRAWING_CHANNELS, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave

@@ -4,14 +4,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.space.decoder import (
-    ascend,
-    descend,
-)
-from matcap.space.freeze import (
-    FoldedDecoder,
-    FoldedLayer,
-)
+from matcap.space.decoder import ascend, descend
+from matcap.space.freeze import FoldedDecoder, FoldedLayer
 from matcap.space.random_field import RandomField
 
 

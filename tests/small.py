@@ -8,16 +8,8 @@ from arrays import photo_from_array
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
-from matcap.space.decoder import (
-    CODE_SIZE,
-    OUTPUTS,
-    Decoder,
-    DecoderConfig,
-)
-from matcap.space.encoder import (
-    Encoder,
-    EncoderConfig,
-)
+from matcap.space.decoder import CODE_SIZE, OUTPUTS, Decoder, DecoderConfig
+from matcap.space.encoder import Encoder, EncoderConfig
 from matcap.space.prior.store import VARYING, ConditionalMean, Prior
 
 SMALL = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8), convolutions=(1, 1))

@@ -16,15 +16,8 @@ from materials import SMALL, a_material
 
 from matcap.field.field import Field
 from matcap.field.material import Material
-from matcap.field.plane import (
-    BLOCK,
-    BLOCK_HEIGHT,
-    Rectangle,
-)
-from matcap.space.decoder import (
-    DEPTH,
-    maps_from_raw,
-)
+from matcap.field.plane import BLOCK, BLOCK_HEIGHT, Rectangle
+from matcap.space.decoder import DEPTH, maps_from_raw
 from matcap.space.freeze import Drawing
 from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder

@@ -8,10 +8,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.geometry import (
-    FlashSetup,
-    unproject,
-)
+from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.light import render_flash
 from matcap.photo.photo import Photo
 

@@ -25,13 +25,7 @@ from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.relight.output import encode
 from matcap.relight.render import relight
-from matcap.relight.scene import (
-    Film,
-    PointLight,
-    Scene,
-    Surface,
-    exposing_intensity,
-)
+from matcap.relight.scene import Film, PointLight, Scene, Surface, exposing_intensity
 from matcap.relight.scenefile import SCENES
 from matcap_lab.simulate.files import write_dng
 from matcap_lab.simulate.kinds import kind_of

@@ -23,12 +23,7 @@ from PIL import Image
 from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.relight.render import relight
-from matcap.relight.scene import (
-    EnvironmentLight,
-    Film,
-    Scene,
-    Surface,
-)
+from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface
 from matcap_lab.simulate.photograph import PhoneCamera, expose, take
 from matcap_lab.simulate.specimen import EXAMPLES
 
@@ -105,11 +100,7 @@ def page(paths: list[Path]) -> None:
     from playwright.sync_api import sync_playwright
 
     from matcap.view.pages import Pages, find_references
-    from matcap.view.server import (
-        listen,
-        make_app,
-        new_address,
-    )
+    from matcap.view.server import listen, make_app, new_address
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])

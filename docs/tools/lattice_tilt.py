@@ -21,14 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.pipeline import read_photograph
-from matcap.capture.rectified import (
-    fit_photograph,
-    tilt_document,
-)
-from matcap.capture.settings import (
-    DETAIL,
-    CaptureSettings,
-)
+from matcap.capture.rectified import fit_photograph, tilt_document
+from matcap.capture.settings import DETAIL, CaptureSettings
 
 LEAST = 0.75
 SOURCES = ("branch", "picture", "used")

@@ -18,17 +18,8 @@ from multiprocessing.context import SpawnProcess
 from typing import Any, Literal
 
 from matcap.errors import MatcapError
-from matcap.files.names import (
-    OnProgress,
-    Progress,
-    ignore_progress,
-)
-from matcap.files.process import (
-    Cluster,
-    RemoteResult,
-    settle_child,
-    starting_children,
-)
+from matcap.files.names import OnProgress, Progress, ignore_progress
+from matcap.files.process import Cluster, RemoteResult, settle_child, starting_children
 
 DoWork = Callable[[Any, OnProgress], Any]
 Prepare = Callable[[], None]

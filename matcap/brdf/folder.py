@@ -53,10 +53,7 @@ from matcap.brdf.edited import (
 from matcap.brdf.stated import SPECULAR_CHANNELS, NormalSource, NormalStyle, stated_maps
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_picture
-from matcap.files.exr import (
-    read_exr,
-    write_exr,
-)
+from matcap.files.exr import read_exr, write_exr
 from matcap.files.names import MAKER_VERSION, plain_name, read_document
 from matcap.files.output import Output
 from matcap.files.pixels import write_png
@@ -172,10 +169,7 @@ def read_mapset(
     """
     import torch
 
-    from matcap.brdf.maps import (
-        CHANNELS,
-        MapSet,
-    )
+    from matcap.brdf.maps import CHANNELS, MapSet
 
     file = _find_document(Path(path))
     document = _load_document(file)

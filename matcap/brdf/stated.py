@@ -14,14 +14,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from matcap.errors import MatcapError
-from matcap.files.names import (
-    name_fault,
-    shown,
-)
-from matcap.files.settings import (
-    bounded,
-    whole,
-)
+from matcap.files.names import name_fault, shown
+from matcap.files.settings import bounded, whole
 
 NormalStyle = Literal["gl", "dx"]
 NormalSource = Literal["height", "file"]

@@ -32,16 +32,9 @@ from matcap.errors import MatcapError
 from matcap.files.color import srgb_slope
 from matcap.files.process import quiet_decoders
 from matcap.photo.exif import read_exif
-from matcap.photo.left_out import (
-    CLIPPED_SHARE,
-    area_averaged,
-)
+from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.load import load_photo
-from matcap.photo.photo import (
-    FULL,
-    Photo,
-    ToneCurve,
-)
+from matcap.photo.photo import FULL, Photo, ToneCurve
 from matcap.photo.response import ExposureRatio, Tones, UsableTones, fit_ratio
 
 Picture = NDArray[np.float32]

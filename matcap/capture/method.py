@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from matcap.statistics.compare import FilterBankConfig, Weights
-
-if TYPE_CHECKING:
-    pass
-
 
 # Variants of the capture method for experiments; not user settings.
 

@@ -15,18 +15,10 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.rectified import Rectified, tilt_document
-from matcap.capture.settings import (
-    CaptureClock,
-    CaptureSettings,
-    Effort,
-    resolve,
-)
+from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, resolve
 from matcap.capture.verdict.causes import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
-from matcap.capture.verdict.measurements import (
-    Measurements,
-    measure_capture,
-)
+from matcap.capture.verdict.measurements import Measurements, measure_capture
 from matcap.field.material import Material
 from matcap.files.process import postponed
 from matcap.flash.light import render_rectified

@@ -344,10 +344,7 @@ def prior_file(prior: str) -> Path | None:
     Raises:
         MatcapError: the named file is no prior.
     """
-    from matcap.space.prior.store import (
-        SHIPPED,
-        load_prior,
-    )
+    from matcap.space.prior.store import SHIPPED, load_prior
 
     if prior == "none":
         return None

@@ -11,10 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.batch.samples import BatchSettings
-from matcap.capture.settings import (
-    CaptureSettings,
-    OutputSettings,
-)
+from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.cli.options import (
     NOTHING,
     Fields,
@@ -65,10 +62,7 @@ def batch(
     Settings come from matcap.toml in or next to the folder; options override it. The results are
     listed in index.html in the output folder.
     """
-    from matcap.batch.run import (
-        prepare,
-        work_off,
-    )
+    from matcap.batch.run import prepare, work_off
     from matcap.batch.samples import settings_of
     from matcap.batch.work import Policy
     from matcap.cli.display import BatchDisplay

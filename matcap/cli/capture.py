@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import (
-    LEAST_TIME,
-    CaptureSettings,
-    OutputSettings,
-    check_photographs,
-)
+from matcap.capture.settings import LEAST_TIME, CaptureSettings, OutputSettings, check_photographs
 from matcap.cli.options import (
     NOTHING,
     SEVERAL,

@@ -59,26 +59,12 @@ def export(
     Warns where the target cannot represent the material. See docs/guide/export.md.
     """
     from matcap.errors import UsageError
-    from matcap.export.job import (
-        ExportJob,
-        known_scale,
-        material_reach,
-        open_set,
-    )
-    from matcap.export.targets import (
-        DOCUMENTS,
-        TARGETS,
-        export_bytes,
-        sidecar_name,
-        write_export,
-    )
+    from matcap.export.job import ExportJob, known_scale, material_reach, open_set
+    from matcap.export.targets import DOCUMENTS, TARGETS, export_bytes, sidecar_name, write_export
     from matcap.field.opened import OpenedMaps, open_tile, refuse_with_piece
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
-    from matcap.files.settings import (
-        known,
-        refuse_options,
-    )
+    from matcap.files.settings import known, refuse_options
 
     if to is None:
         raise UsageError.at("--to", "there is no target", f"choose from {', '.join(TARGETS)}")

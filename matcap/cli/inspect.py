@@ -11,18 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import (
-    CaptureSettings,
-    InspectSettings,
-)
-from matcap.cli.options import (
-    NOTHING,
-    Fields,
-    Given,
-    JsonOption,
-    chosen,
-    with_settings,
-)
+from matcap.capture.settings import CaptureSettings, InspectSettings
+from matcap.cli.options import NOTHING, Fields, Given, JsonOption, chosen, with_settings
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.photo.checks import Rating
 

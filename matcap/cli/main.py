@@ -19,27 +19,12 @@ from typing import Annotated, TextIO
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli import (
-    batch,
-    capture,
-    doctor,
-    export,
-    inspect,
-    relight,
-    sample,
-    synth,
-    view,
-)
-from matcap.cli import (
-    sample as blend,
-)
+from matcap.cli import batch, capture, doctor, export, inspect, relight, sample, synth, view
+from matcap.cli import sample as blend
 from matcap.cli.options import PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
-from matcap.files.process import (
-    ignore_signals,
-    raise_on_signals,
-)
+from matcap.files.process import ignore_signals, raise_on_signals
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
 

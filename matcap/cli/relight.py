@@ -69,10 +69,7 @@ def relight(
         write_tiles,
     )
     from matcap.relight.render import parse_choice
-    from matcap.relight.scenefile import (
-        ANIMATIONS,
-        light_sheet,
-    )
+    from matcap.relight.scenefile import ANIMATIONS, light_sheet
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
@@ -148,10 +145,7 @@ def relight(
 def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) -> Scene:
     from dataclasses import replace
 
-    from matcap.relight.scene import (
-        Film,
-        scene_from_light,
-    )
+    from matcap.relight.scene import Film, scene_from_light
     from matcap.relight.scenefile import preset, read_scene
 
     if name is None:

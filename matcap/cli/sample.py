@@ -46,10 +46,7 @@ def sample(
     from matcap.field.plane import check_seed
     from matcap.files.names import check_suffix
     from matcap.files.output import Output, check_output, check_writable
-    from matcap.files.pixels import (
-        SUFFIXES,
-        write_picture,
-    )
+    from matcap.files.pixels import SUFFIXES, write_picture
     from matcap.space.prior.store import sample_sheet
 
     options, near = chosen(SampleOptions, asked), chosen(DrawOptions, drawn_near)
@@ -88,10 +85,7 @@ def drawing(near: DrawOptions, prior: Path | None = None) -> Callable[[int], Mat
     from functools import partial
 
     from matcap.photo.load import load_photo
-    from matcap.space.prior.store import (
-        DETAIL,
-        load_prior,
-    )
+    from matcap.space.prior.store import DETAIL, load_prior
 
     space = load_prior(prior)
     if near.like is None:

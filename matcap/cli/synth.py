@@ -21,11 +21,7 @@ from matcap.cli.options import (
 )
 from matcap.errors import ExitCode, UsageError
 from matcap.field.options import DrawOptions, ReadOptions
-from matcap.synth.request import (
-    SynthArea,
-    SynthRequest,
-    Work,
-)
+from matcap.synth.request import SynthArea, SynthRequest, Work
 
 if TYPE_CHECKING:
     from matcap.field.material import Material

@@ -38,17 +38,10 @@ def view(
     The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
     from matcap.files.output import check_output
-    from matcap.view.document import (
-        check_page_path,
-        sealed_page,
-        write_page,
-    )
+    from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.pages import find_references
     from matcap.view.server import make_app, serve
-    from matcap.view.subject import (
-        Materials,
-        open_subject,
-    )
+    from matcap.view.subject import Materials, open_subject
 
     def announce(address: str) -> None:
         typer.echo(address)

@@ -20,24 +20,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.candidates import (
-    choose_scale,
-    features_of,
-    planes_of,
-)
-from matcap.example.example import (
-    coarsened,
-    detail_bits,
-)
-from matcap.example.exemplar import (
-    Exemplar,
-    Floats,
-)
+from matcap.example.candidates import choose_scale, features_of, planes_of
+from matcap.example.example import coarsened, detail_bits
+from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.lattice import GRID, Frequency, gaussian_windows
-from matcap.example.straighten import (
-    displacement,
-    sources,
-)
+from matcap.example.straighten import displacement, sources
 
 # Straightening; docs/notes/field.md.
 _FINE = 16.0  # texels, longest shorter period; offsets of longer ones are measured by lattice.py

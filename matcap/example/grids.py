@@ -4,15 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from matcap.example.candidates import (
-    FeatureMap,
-    halved,
-    smoothed,
-)
-from matcap.example.lattice import (
-    LEAST_PATCH,
-    PhasedLattice,
-)
+from matcap.example.candidates import FeatureMap, halved, smoothed
+from matcap.example.lattice import LEAST_PATCH, PhasedLattice
 
 MOST_LEVELS = 5  # so that periods are multiples of 2^4 texels, as the decoder's
 COST_BITS = 2  # the grid of placement costs has a step of 2^COST_BITS texels

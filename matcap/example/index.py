@@ -42,13 +42,7 @@ from matcap.example.grids import (
     similar_bits,
     step_of,
 )
-from matcap.example.lattice import (
-    GRID,
-    Frequency,
-    PhasedLattice,
-    Phases,
-    measure_lattice,
-)
+from matcap.example.lattice import GRID, Frequency, PhasedLattice, Phases, measure_lattice
 from matcap.example.placement import RULE, Placement
 
 # Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.

@@ -20,10 +20,7 @@ from numpy.typing import NDArray
 
 from matcap.example.grids import Frame
 from matcap.example.index import Level
-from matcap.example.library import (
-    Hashes,
-    hash_places,
-)
+from matcap.example.library import Hashes, hash_places
 from matcap.example.placement import Placement, drawn, reuse_cost
 from matcap.field.turns import Integers
 

@@ -12,11 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.grids import COST_BITS, Frame
-from matcap.example.library import (
-    Hashes,
-    draw,
-    hash_places,
-)
+from matcap.example.library import Hashes, draw, hash_places
 from matcap.field.turns import Integers
 
 # Placement of patches; docs/notes/field.md.

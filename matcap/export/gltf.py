@@ -24,31 +24,12 @@ from typing import Any
 import numpy as np
 
 from matcap.export.formats import Container, Depth, Picture, rgb
-from matcap.export.job import (
-    ExportJob,
-    MapRows,
-)
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
-from matcap.export.shading import (
-    MadeSurface,
-    Reader,
-    TargetShading,
-    TargetSurface,
-)
+from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile
-from matcap.export.textures import (
-    BASE,
-    Export,
-    coded_normal,
-    occlusion_entry,
-    signed,
-)
-from matcap.export.workflows import (
-    base_colour,
-    brightest,
-    clipping_notes,
-    specular_colour,
-)
+from matcap.export.textures import BASE, Export, coded_normal, occlusion_entry, signed
+from matcap.export.workflows import base_colour, brightest, clipping_notes, specular_colour
 from matcap.files.names import MAKER
 
 # Viewers' shading: three.js, Babylon.js and Blender add multiple scattering.

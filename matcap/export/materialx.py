@@ -25,18 +25,9 @@ import torch
 
 from matcap.export.formats import Picture
 from matcap.export.gltf import ior
-from matcap.export.job import (
-    ExportJob,
-    MapRows,
-)
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import EngineModel
-from matcap.export.shading import (
-    MadeSurface,
-    Reader,
-    TargetShading,
-    TargetSurface,
-    nearest,
-)
+from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,

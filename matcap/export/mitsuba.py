@@ -126,10 +126,7 @@ def _blend_specular(piece: MapRows) -> Picture:
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     """The scene file: a rectangle from straight above, under one point light."""
-    from matcap.relight.scene import (
-        NAMED_LIGHTS,
-        exposing_intensity,
-    )
+    from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
     width, height = job.extent
     shrunk = min(1.0, _LARGEST_FILM / max(job.maps.size))

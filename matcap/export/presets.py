@@ -17,19 +17,9 @@ from torch import Tensor
 
 from matcap.errors import UsageError
 from matcap.export.formats import Depth, NormalMaps, Picture, brightest_channel, mean_channel, rgb
-from matcap.export.job import (
-    ExportJob,
-    MapRows,
-)
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.options import ExportOptions
-from matcap.export.shading import (
-    MATCAP,
-    MadeSurface,
-    Reader,
-    TargetShading,
-    TargetSurface,
-    nearest,
-)
+from matcap.export.shading import MATCAP, MadeSurface, Reader, TargetShading, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
@@ -62,11 +52,7 @@ from matcap.export.workflows import (
     fitted_tables,
     to_metallic,
 )
-from matcap.files.names import (
-    is_portable,
-    plain_name,
-    shown,
-)
+from matcap.files.names import is_portable, plain_name, shown
 from matcap.files.settings import known
 
 _FIELDS = ("stem", "map", "res", "format")

@@ -13,26 +13,11 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.export.formats import CONTAINERS, Container, Depth, Picture, bands
-from matcap.export.job import (
-    ExportJob,
-    MapRows,
-)
-from matcap.files.color import (
-    srgb_decode,
-    srgb_picture,
-)
-from matcap.files.exr import (
-    LARGEST_HALF,
-    write_exr,
-)
+from matcap.export.job import ExportJob, MapRows
+from matcap.files.color import srgb_decode, srgb_picture
+from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.names import TOKEN
-from matcap.files.pixels import (
-    PNG_HEADER,
-    png_bytes,
-    png_chunk,
-    quantised,
-    swap_red_blue,
-)
+from matcap.files.pixels import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue
 
 WRITERS = 2  # textures written in parallel: each holds one picture in memory
 _JPEG_QUALITY = 95

@@ -28,18 +28,10 @@ from pathlib import Path
 
 from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
-from matcap.export.job import (
-    ExportJob,
-    MapRows,
-)
+from matcap.export.job import ExportJob, MapRows
 from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import EngineModel, PackedMaterial
-from matcap.export.shading import (
-    MadeSurface,
-    Reader,
-    TargetShading,
-    TargetSurface,
-)
+from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
 from matcap.export.textures import (
     BASE,
@@ -59,11 +51,7 @@ from matcap.export.textures import (
     signed,
     standard_textures,
 )
-from matcap.export.workflows import (
-    base_colour,
-    clipping_notes,
-    specular_colour,
-)
+from matcap.export.workflows import base_colour, clipping_notes, specular_colour
 from matcap.files.names import MAKER
 
 SHADING = TargetShading(layer="half", each=True)

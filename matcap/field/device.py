@@ -5,15 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import torch
 
 from matcap.errors import UsageError
-
-if TYPE_CHECKING:
-    pass
-
 
 # The device that computes blocks: the processor or CUDA, and its support of bfloat16.
 #

@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
 
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.field.plane import (
-    BLOCK,
-    BlockPart,
-    Period,
-    Rectangle,
-    block_parts,
-    check_rectangle,
-)
-
-if TYPE_CHECKING:
-    pass
 from matcap.field.device import DeviceName, find_device
+from matcap.field.plane import BLOCK, BlockPart, Period, Rectangle, block_parts, check_rectangle
 from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inner, single_threaded
 
 # Field: random access to the endless material.

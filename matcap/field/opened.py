@@ -13,10 +13,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.brdf.adjust import KEY, Adjustments, adjusted
 from matcap.brdf.folder import SETUP, find_mapsets, read_mapset
 from matcap.errors import MatcapError, UsageError
-from matcap.field.options import (
-    AS_IT_IS,
-    ReadOptions,
-)
+from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.files.names import usable_name
 from matcap.files.settings import refuse_options
 

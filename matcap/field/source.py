@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import NormalStyle
-from matcap.field.plane import (
-    RING,
-    Grid,
-    Period,
-    Rectangle,
-)
+from matcap.field.plane import RING, Grid, Period, Rectangle
 
 if TYPE_CHECKING:
     import torch

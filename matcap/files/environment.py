@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.names import note
-from matcap.files.pixels import (
-    linear_colours,
-    read_pixels,
-)
+from matcap.files.pixels import linear_colours, read_pixels
 from matcap.files.settings import BRIGHTEST
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"

@@ -16,21 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import (
-    LINEAR,
-    LUMINANCE,
-    largest_code,
-    linear,
-    rec709_from,
-    srgb_picture,
-)
-from matcap.files.exr import (
-    MAGIC,
-    forget_error,
-    radiance_header,
-    stated_primaries,
-    write_exr,
-)
+from matcap.files.color import LINEAR, LUMINANCE, largest_code, linear, rec709_from, srgb_picture
+from matcap.files.exr import MAGIC, forget_error, radiance_header, stated_primaries, write_exr
 from matcap.files.jpeg import NO_END, unsupported_jpeg, with_end
 from matcap.files.layers import meant_layer
 from matcap.files.names import check_suffix, note

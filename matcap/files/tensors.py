@@ -20,11 +20,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from matcap.errors import MatcapError
-from matcap.files.names import (
-    DIGEST,
-    METHOD,
-    digest_prefix,
-)
+from matcap.files.names import DIGEST, METHOD, digest_prefix
 from matcap.files.output import Output
 
 Loaded = TypeVar("Loaded", bound=nn.Module)

@@ -20,10 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import (
-    srgb_decode,
-    srgb_encode,
-)
+from matcap.files.color import srgb_decode, srgb_encode
 from matcap.photo.exif import read_exif
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo

@@ -34,10 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.color import (
-    ColorSpace,
-    rec709_decode,
-)
+from matcap.files.color import ColorSpace, rec709_decode
 from matcap.files.stated_color import lineariser_of
 
 APPLE = "urn:com:apple:photo:2020:aux:hdrgainmap"

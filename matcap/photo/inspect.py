@@ -17,11 +17,7 @@ from numpy.typing import NDArray
 
 from matcap.photo.checks import CHECKS, Finding, Rating, Region
 from matcap.photo.hdr_gain_map import NAME as GAIN_MAP
-from matcap.photo.left_out import (
-    area_averaged,
-    border_crop,
-    cell_means,
-)
+from matcap.photo.left_out import area_averaged, border_crop, cell_means
 from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]

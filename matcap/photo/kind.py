@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError
 from matcap.files.exr import MAGIC
 from matcap.photo.dng import raw_page
-from matcap.photo.photo import (
-    READABLE,
-    decoding,
-)
-
-if TYPE_CHECKING:
-    pass
-
+from matcap.photo.photo import READABLE, decoding
 
 # Detects a photograph's format by its first bytes; by suffix only for RAW files that are TIFFs.
 

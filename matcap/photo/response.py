@@ -19,10 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.photo import (
-    Development,
-    ToneCurve,
-)
+from matcap.photo.photo import Development, ToneCurve
 
 Values = NDArray[np.float64]
 

@@ -23,18 +23,11 @@ from matcap.example.interpolate import interpolated, pattern_of
 from matcap.example.variety import with_chosen_variety
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup
-from matcap.space.decoder import (
-    Decoder,
-    with_cells,
-    with_drawing,
-)
+from matcap.space.decoder import Decoder, with_cells, with_drawing
 from matcap.space.freeze import Drawing, freeze
 from matcap.space.prior.store import flash_picture
 from matcap.space.tuned import TunedDecoder
-from matcap.statistics.lattice import (
-    Wave,
-    find_lattice,
-)
+from matcap.statistics.lattice import Wave, find_lattice
 
 _DRAWN = (512, 384)  # texels of a decoder's field that are its exemplar
 

@@ -396,11 +396,7 @@ def lit_from_top(planes: NDArray[np.float32], normal: NormalStyle) -> NDArray[np
 
     The light is that of `relight --light top`, at infinite distance.
     """
-    from matcap.relight.scene import (
-        NAMED_LIGHTS,
-        DirectionalLight,
-        exposing_intensity,
-    )
+    from matcap.relight.scene import NAMED_LIGHTS, DirectionalLight, exposing_intensity
     from matcap.relight.texture import light_texels
 
     place = NAMED_LIGHTS["top"]

@@ -27,19 +27,9 @@ from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.example.example import Exemplified, read_exemplified
 from matcap.field.opened import REPEATS, refuse_with_piece
-from matcap.field.plane import (
-    BlockPart,
-    Rectangle,
-    block_parts,
-    check_rectangle,
-)
+from matcap.field.plane import BlockPart, Rectangle, block_parts, check_rectangle
 from matcap.field.source import DerivedSource
-from matcap.files.names import (
-    MAKER_VERSION,
-    check_grid,
-    plain_name,
-    tile_number,
-)
+from matcap.files.names import MAKER_VERSION, check_grid, plain_name, tile_number
 from matcap.files.settings import refuse_options
 from matcap.synth.pictures import Preview, preview_of
 

@@ -11,16 +11,9 @@ from typing import TYPE_CHECKING, Literal
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.field.options import AS_IT_IS, ReadOptions
-from matcap.field.plane import (
-    Period,
-    Rectangle,
-    check_seed,
-)
+from matcap.field.plane import Period, Rectangle, check_seed
 from matcap.files import settings as values
-from matcap.files.names import (
-    Progress,
-    ignore_progress,
-)
+from matcap.files.names import Progress, ignore_progress
 from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:

@@ -224,10 +224,7 @@ class NetworkLevels:
 
         mean + sum w (tile - mean) / sqrt(sum w^2), without the paper's histogram transformation.
         """
-        from matcap.example.library import (
-            draw,
-            hash_places,
-        )
+        from matcap.example.library import draw, hash_places
 
         # Of at least 8 texels a side.
         seen = min(level, _TILE.bit_length() - 4)

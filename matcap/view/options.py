@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from matcap.files import settings as values
 from matcap.files.settings import CheckedSettings, setting
-
-if TYPE_CHECKING:
-    pass
-
 
 # Options of `matcap view`.
 

@@ -292,10 +292,7 @@ def browser_picture(
     photo = photo if tone is None else photo.linearised(tone)
     linear = photo.pixels
     if setup is not None:
-        from matcap.flash.rectify import (
-            picture_of,
-            rectify,
-        )
+        from matcap.flash.rectify import picture_of, rectify
 
         linear = picture_of(rectify(photo, setup, linear.shape[1])[0])
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.

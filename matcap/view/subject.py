@@ -157,11 +157,7 @@ class Materials:
 
     @cached_property
     def _piece(self) -> Pyramid:
-        from matcap.view.level_of_detail import (
-            Pyramid,
-            edged,
-            moments_of,
-        )
+        from matcap.view.level_of_detail import Pyramid, edged, moments_of
 
         example = self.first.part(Example)
         if example is None:
@@ -189,10 +185,7 @@ class Materials:
 
     def _open(self, seed: int, share: float) -> ExampleLevels | NetworkLevels:
         from matcap.field.plane import check_seed
-        from matcap.view.level_of_detail import (
-            ExampleLevels,
-            NetworkLevels,
-        )
+        from matcap.view.level_of_detail import ExampleLevels, NetworkLevels
 
         check_seed(seed)
         material = self.at(share)
@@ -240,11 +233,7 @@ class Maps:
 
     @cached_property
     def _pyramid(self) -> Pyramid:
-        from matcap.view.level_of_detail import (
-            RING,
-            Pyramid,
-            moments_of,
-        )
+        from matcap.view.level_of_detail import RING, Pyramid, moments_of
 
         around = ((0, 0), (RING, RING), (RING, RING))
         wrapped = np.pad(self.maps.stacked().numpy(), around, mode="wrap")
@@ -258,11 +247,7 @@ def _no_piece() -> UsageError:
 def _flashed(setup: FlashSetup) -> Flashed:
     import torch
 
-    from matcap.flash.geometry import (
-        camera_in_plane,
-        setup_rotation,
-        to_upright,
-    )
+    from matcap.flash.geometry import camera_in_plane, setup_rotation, to_upright
     from matcap.flash.light import CORNER_SQUARED
 
     camera, light = (tuple(to_upright(setup, place).tolist()) for place in camera_in_plane(setup))

@@ -18,10 +18,7 @@ from matcap.capture.bracket import (
     way_of_camera,
 )
 from matcap.errors import MatcapError
-from matcap.files.color import (
-    srgb_decode,
-    srgb_encode,
-)
+from matcap.files.color import srgb_decode, srgb_encode
 from matcap.photo.photo import Photo, ToneCurve
 
 WIDTH, HEIGHT, FOV = 640, 480, 66.0

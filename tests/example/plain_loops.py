@@ -3,10 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.blend import (
-    CHANNELS,
-    NODES,
-)
+from matcap.example.blend import CHANNELS, NODES
 from matcap.example.candidates import (
     DIMENSIONS,
     LARGEST,
@@ -17,12 +14,7 @@ from matcap.example.candidates import (
     offsets,
     padded,
 )
-from matcap.example.coordinates import (
-    REACH,
-    SUBPASSES,
-    Places,
-    margin,
-)
+from matcap.example.coordinates import REACH, SUBPASSES, Places, margin
 from matcap.example.grids import COST_BITS
 from matcap.example.index import Level
 from matcap.example.lattice import Phases

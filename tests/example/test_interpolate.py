@@ -7,19 +7,8 @@ import numpy as np
 import pytest
 from exemplars import blobs, bricks, coloured
 
-from matcap.example.exemplar import (
-    CHANNELS,
-    DIFFUSE,
-    HEIGHT,
-    ROUGHNESS,
-)
-from matcap.example.interpolate import (
-    interpolated,
-    octaves,
-    overlay,
-    pattern_of,
-    patterns_of,
-)
+from matcap.example.exemplar import CHANNELS, DIFFUSE, HEIGHT, ROUGHNESS
+from matcap.example.interpolate import interpolated, octaves, overlay, pattern_of, patterns_of
 
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 

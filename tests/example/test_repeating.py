@@ -13,16 +13,8 @@ from matcap.brdf.edited import seam_ratio
 from matcap.brdf.folder import read_mapset
 from matcap.cli.main import main
 from matcap.errors import UsageError
-from matcap.example.example import (
-    Example,
-    known_part,
-)
-from matcap.example.repeat import (
-    flatten,
-    is_cut,
-    joined,
-    repeated,
-)
+from matcap.example.example import Example, known_part
+from matcap.example.repeat import flatten, is_cut, joined, repeated
 from matcap.example.straighten import least_cut
 from matcap.field.plane import Rectangle
 

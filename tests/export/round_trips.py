@@ -33,12 +33,7 @@ from matcap.export.shading import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr
-from matcap.relight.scene import (
-    NAMED_LIGHTS,
-    PointLight,
-    exposing_intensity,
-    scene_from_light,
-)
+from matcap.relight.scene import NAMED_LIGHTS, PointLight, exposing_intensity, scene_from_light
 
 SIZE = 64
 LOBES = "none,+diffuse,+specular,+falloff"

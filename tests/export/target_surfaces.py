@@ -4,12 +4,7 @@ from dataclasses import fields
 
 import torch
 
-from matcap.export.shading import (
-    TargetSurface,
-    compared,
-    shine_all,
-    thinning,
-)
+from matcap.export.shading import TargetSurface, compared, shine_all, thinning
 
 
 def of_maps(maps) -> TargetSurface:

@@ -72,10 +72,7 @@ def test_its_picture_is_matcaps(tmp_path, made, material, target, suffix, limit,
     if not render_three.PLACE.is_dir():
         pytest.skip(f"needs `npm install --prefix .node {render_three.PLACE.name}`")
     import matcap
-    from matcap.relight.scene import (
-        NAMED_LIGHTS,
-        exposing_intensity,
-    )
+    from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
     maps, light = made[material], NAMED_LIGHTS["top"]
     write_export(ExportJob(maps, material), target, tmp_path)

@@ -59,11 +59,7 @@ def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
 def test_its_picture_is_matcaps(tmp_path, made, read_materialx, variant, limit):
     """MaterialX's shader, drawn by Chromium, against `matcap relight`."""
     import matcap
-    from matcap.relight.scene import (
-        NAMED_LIGHTS,
-        PointLight,
-        exposing_intensity,
-    )
+    from matcap.relight.scene import NAMED_LIGHTS, PointLight, exposing_intensity
 
     maps, place = made["rust"], NAMED_LIGHTS["top"]
     write_export(ExportJob(maps, "rust"), "materialx", tmp_path)

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from matcap.export.occlusion import (
-    CAVITY_REACH,
-    LARGEST,
-    occlusion,
-    settings,
-)
+from matcap.export.occlusion import CAVITY_REACH, LARGEST, occlusion, settings
 
 SIDE = 64
 RAYS = 192

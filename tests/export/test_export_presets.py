@@ -17,12 +17,7 @@ from matcap.export.job import ExportJob
 from matcap.export.options import ExportOptions
 from matcap.export.shading import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
-from matcap.export.workflows import (
-    FORMS,
-    ErrorWeights,
-    MetallicAim,
-    to_metallic,
-)
+from matcap.export.workflows import FORMS, ErrorWeights, MetallicAim, to_metallic
 from matcap.files.exr import read_exr
 
 NAMES = {

@@ -248,10 +248,7 @@ def test_a_tenth_more_light_is_a_tenth(made):
 
 
 def test_shine_is_the_reflectance_matcap_renders_with(made):
-    from matcap.brdf.cook_torrance import (
-        cook_torrance,
-        dot,
-    )
+    from matcap.brdf.cook_torrance import cook_torrance, dot
 
     maps = made["rust"].map(lambda map_: map_.double())
     light = torch.tensor([0.48, 0.36, 0.8], dtype=torch.float64)[:, None, None]

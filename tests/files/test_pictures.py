@@ -27,13 +27,7 @@ from matcap.files.color import (
 )
 from matcap.files.color import REC709 as COLOR_REC709
 from matcap.files.exr import REC709, read_exr, write_exr
-from matcap.files.pixels import (
-    linear_colours,
-    read_mask,
-    read_pixels,
-    write_picture,
-    write_png,
-)
+from matcap.files.pixels import linear_colours, read_mask, read_pixels, write_picture, write_png
 from matcap.photo.load import load_photo
 
 # Pictures for people, and masks as painting programs save them.

@@ -7,11 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from matcap.photo.photo import (
-    WITH_GAIN_MAP,
-    Development,
-    ToneCurve,
-)
+from matcap.photo.photo import WITH_GAIN_MAP, Development, ToneCurve
 from matcap.photo.response import Tones, fit_ratio
 
 LIGHT = np.exp(np.random.default_rng(1).uniform(math.log(0.02), math.log(0.95), (10_000, 2)))

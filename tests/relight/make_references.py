@@ -21,14 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 mi.set_variant("scalar_rgb")
 
-from reference_scenes import (  # noqa: E402
-    FILM,
-    LIGHTS,
-    LOW,
-    SKY_SIZE,
-    embossed_maps,
-    flat_maps,
-)
+from reference_scenes import FILM, LIGHTS, LOW, SKY_SIZE, embossed_maps, flat_maps  # noqa: E402
 
 from matcap.files.exr import write_exr  # noqa: E402
 from matcap.relight.scene import (  # noqa: E402

@@ -5,11 +5,7 @@ from pathlib import Path
 import pytest
 
 from matcap.errors import MatcapError
-from matcap.relight.foreign.names import (
-    OBJECT_SPACE,
-    assigned,
-    named,
-)
+from matcap.relight.foreign.names import OBJECT_SPACE, assigned, named
 
 MASK = {"metallic": "R", "ambient occlusion": "G", "gloss": "A"}
 ORM = {"ambient occlusion": "R", "roughness": "G", "metallic": "B"}

@@ -17,40 +17,14 @@ from relight_samples import bumpy
 
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
-from matcap.relight.block import (
-    Block,
-    Hits,
-    ShadingContext,
-    to_frame,
-)
-from matcap.relight.camera import (
-    dot,
-    lattice,
-    scale,
-    subtract,
-    vec,
-)
-from matcap.relight.effects import (
-    area,
-    direct,
-    environment,
-)
-from matcap.relight.effects import (
-    relief as parallax,
-)
+from matcap.relight.block import Block, Hits, ShadingContext, to_frame
+from matcap.relight.camera import dot, lattice, scale, subtract, vec
+from matcap.relight.effects import area, direct, environment
+from matcap.relight.effects import relief as parallax
 from matcap.relight.environment_map import albedo, environment_of
 from matcap.relight.loops import library
-from matcap.relight.plan import (
-    Budget,
-    Plan,
-    Step,
-    Tally,
-)
-from matcap.relight.relief import (
-    COARSENESS,
-    Horizons,
-    Relief,
-)
+from matcap.relight.plan import Budget, Plan, Step, Tally
+from matcap.relight.relief import COARSENESS, Horizons, Relief
 from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,
@@ -60,11 +34,7 @@ from matcap.relight.scene import (
     Scene,
     SphereLight,
 )
-from matcap.relight.texture import (
-    Sampler,
-    SurfaceSample,
-    Texture,
-)
+from matcap.relight.texture import Sampler, SurfaceSample, Texture
 
 LIGHTS = (
     RectangleLight((-0.8, 0.5, 0.9), (0.8, -0.5, -0.9), size=(0.9, 0.5), radiance=(2.0,) * 3),

@@ -18,18 +18,8 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    FlashSetup,
-    plane_points,
-    unproject,
-)
-from matcap.flash.light import (
-    CORNER_SQUARED,
-    render_flash,
-    shade,
-)
+from matcap.flash.geometry import OWN, Extent, FlashSetup, plane_points, unproject
+from matcap.flash.light import CORNER_SQUARED, render_flash, shade
 from matcap.photo.photo import Photo
 
 Piece = Callable[[int, int, float], MapSet]

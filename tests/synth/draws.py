@@ -11,11 +11,7 @@ from pathlib import Path
 import torch
 
 from matcap.field.field import read_source
-from matcap.field.plane import (
-    Grid,
-    Rectangle,
-    block_parts,
-)
+from matcap.field.plane import Grid, Rectangle, block_parts
 from matcap.field.source import inner, single_threaded
 
 PLACES = (0, 2**31, 2**40)

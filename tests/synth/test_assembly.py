@@ -6,17 +6,8 @@ import OpenImageIO as oiio
 import pytest
 
 from matcap.errors import MatcapError
-from matcap.field.plane import (
-    Grid,
-    Rectangle,
-    block_parts,
-)
-from matcap.synth.pictures import (
-    Assembly,
-    texel_type,
-    texels_of,
-    write_map,
-)
+from matcap.field.plane import Grid, Rectangle, block_parts
+from matcap.synth.pictures import Assembly, texel_type, texels_of, write_map
 
 SIZES = [(200, 130), (64, 64), (1, 1), (70, 1), (65, 129)]
 

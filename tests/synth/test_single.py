@@ -5,10 +5,7 @@ from contextlib import suppress
 import pytest
 import torch
 
-from matcap.field.source import (
-    one_thread,
-    single_threaded,
-)
+from matcap.field.source import one_thread, single_threaded
 
 pytestmark = pytest.mark.usefixtures("two_threads")
 

@@ -40,11 +40,7 @@ def serving(subject, beside=None):
     """The page of a subject, on a free port of this machine; gives its address."""
     import uvicorn
 
-    from matcap.view.server import (
-        listen,
-        make_app,
-        new_address,
-    )
+    from matcap.view.server import listen, make_app, new_address
 
     listening = listen(0)
     address = new_address(listening.getsockname()[1])

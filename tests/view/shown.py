@@ -13,14 +13,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
 from matcap.relight.output import encode
 from matcap.relight.render import relight
-from matcap.relight.scene import (
-    Camera,
-    EnvironmentLight,
-    Film,
-    PointLight,
-    Scene,
-    Surface,
-)
+from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
 
 # What the page does, and nothing of what it says it does not.
 EFFECTS = "all,-multiscatter,-parallax,-shadows,-visibility,-interreflection"

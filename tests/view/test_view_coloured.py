@@ -28,29 +28,11 @@ from matcap.example.example import Example
 from matcap.field.plane import Rectangle
 from matcap.relight.output import encode
 from matcap.relight.scene import Film
-from matcap.view.document import (
-    packed_piece,
-    packed_tile,
-    sealed_page,
-)
-from matcap.view.level_of_detail import (
-    ExemplarAverages,
-    edged,
-    moments_of,
-)
-from matcap.view.pages import (
-    APRON,
-    MIPS,
-    PAGE_HEIGHT,
-    Pages,
-    Place,
-)
+from matcap.view.document import packed_piece, packed_tile, sealed_page
+from matcap.view.level_of_detail import ExemplarAverages, edged, moments_of
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
 from matcap.view.pages import WIDTH as PAGE_WIDTH
-from matcap.view.subject import (
-    Maps,
-    Materials,
-    open_subject,
-)
+from matcap.view.subject import Maps, Materials, open_subject
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")

@@ -18,16 +18,9 @@ from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import sealed_page
-from matcap.view.pages import (
-    find_photograph,
-    reported_photograph,
-)
+from matcap.view.pages import find_photograph, reported_photograph
 from matcap.view.server import HOST
-from matcap.view.subject import (
-    Maps,
-    Materials,
-    open_subject,
-)
+from matcap.view.subject import Maps, Materials, open_subject
 
 
 @pytest.fixture(scope="module")

@@ -34,27 +34,14 @@ from shown import (
 from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.example.example import Example
-from matcap.files.color import (
-    srgb_decode,
-    srgb_picture,
-)
+from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.exr import write_exr
 from matcap.relight.output import encode
-from matcap.relight.scene import (
-    EnvironmentLight,
-    Film,
-)
+from matcap.relight.scene import EnvironmentLight, Film
 from matcap.space.between import blend
 from matcap.view.document import sealed_page
-from matcap.view.pages import (
-    EncodedPicture,
-    References,
-    doubt_picture,
-)
-from matcap.view.subject import (
-    Maps,
-    Materials,
-)
+from matcap.view.pages import EncodedPicture, References, doubt_picture
+from matcap.view.subject import Maps, Materials
 
 PLANES = [
     pytest.param(512, 512, WIDTH, 0.0, id="texel for pixel, across block borders"),

@@ -21,10 +21,7 @@ from matcap.example.example import Example
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
-from matcap.view.document import (
-    SCRIPTS,
-    STYLE,
-)
+from matcap.view.document import SCRIPTS, STYLE
 from matcap.view.level_of_detail import (
     ExampleLevels,
     ExemplarAverages,
@@ -45,10 +42,7 @@ from matcap.view.pages import (
     doubt_picture,
     read_verdict,
 )
-from matcap.view.subject import (
-    Maps,
-    Materials,
-)
+from matcap.view.subject import Maps, Materials
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")

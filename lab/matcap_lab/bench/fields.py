@@ -18,22 +18,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.maps import (
-    CHANNELS,
-    MapSet,
-)
+from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.errors import MatcapError
-from matcap.example.example import (
-    Example,
-    detail_bits,
-    read_exemplified,
-)
-from matcap.example.exemplar import (
-    DIFFUSE,
-    HEIGHT,
-    Exemplar,
-    Floats,
-)
+from matcap.example.example import Example, detail_bits, read_exemplified
+from matcap.example.exemplar import DIFFUSE, HEIGHT, Exemplar, Floats
 from matcap.example.variety import with_chosen_variety
 from matcap.field.header import REMEDY
 from matcap.field.plane import Rectangle

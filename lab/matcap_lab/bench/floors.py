@@ -17,22 +17,14 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
-from matcap.capture.multiview.mosaic import (
-    STEEPEST,
-    sees,
-)
+from matcap.capture.multiview.mosaic import STEEPEST, sees
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    FlashSetup,
-    flash_mirror_point,
-)
+from matcap.flash.geometry import OWN, Extent, FlashSetup, flash_mirror_point
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
 from matcap.photo.photo import Photo

@@ -26,10 +26,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.inspection import inspect_file
-from matcap.capture.settings import (
-    PRESETS,
-    CaptureSettings,
-)
+from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.material import Material

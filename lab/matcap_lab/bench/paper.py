@@ -28,10 +28,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.maps import (
-    MapSet,
-    with_colour,
-)
+from matcap.brdf.maps import MapSet, with_colour
 from matcap.capture.method import Method
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.result import CaptureResult
@@ -40,28 +37,15 @@ from matcap.field.device import computes_bfloat16
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_encode_tensor
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-)
+from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
 from matcap.space.between import blend
-from matcap.space.decoder import (
-    ALIGNMENT,
-    DEPTH,
-    maps_from_raw,
-)
+from matcap.space.decoder import ALIGNMENT, DEPTH, maps_from_raw
 from matcap.space.freeze import freeze
 from matcap.space.prior.store import load_prior
 from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
-from matcap.statistics.compare import (
-    FilterBank,
-    FilterBankConfig,
-    Weights,
-    gram,
-    pyramid,
-)
+from matcap.statistics.compare import FilterBank, FilterBankConfig, Weights, gram, pyramid
 from matcap_lab.experiment.results import Mean, Trial, Value, columns_of, markdown, means, shown
 from matcap_lab.experiment.runner import Configuration, Experiment
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator

@@ -27,11 +27,7 @@ from matcap.capture.verdict.judge import visible
 from matcap.errors import MatcapError
 from matcap.files.pixels import write_picture
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-    unproject,
-)
+from matcap.flash.geometry import FlashSetup, plane_points, unproject
 from matcap.flash.highlight import CELLS, find_highlight, light_of
 from matcap.flash.light import FlashLight, uniform_radiance
 from matcap.photo.exif import phone_fov

@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.capture.settings import CaptureSettings
-from matcap.cli.options import (
-    NOTHING,
-    Fields,
-    Given,
-    JsonOption,
-    printer,
-    typed,
-    with_settings,
-)
+from matcap.cli.options import NOTHING, Fields, Given, JsonOption, printer, typed, with_settings
 from matcap.errors import UsageError
 from matcap.files import settings as values
 

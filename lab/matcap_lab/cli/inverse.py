@@ -7,11 +7,7 @@ from typing import Annotated
 
 import typer
 
-from matcap.cli.options import (
-    QuietOption,
-    printer,
-    typed,
-)
+from matcap.cli.options import QuietOption, printer, typed
 from matcap.files import settings as values
 
 app = typer.Typer(

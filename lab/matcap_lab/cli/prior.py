@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from matcap.cli.options import (
-    QuietOption,
-    printer,
-)
+from matcap.cli.options import QuietOption, printer
 
 if TYPE_CHECKING:
     from matcap_lab.train.step import TrainConfig
@@ -115,10 +112,7 @@ def align(
 ) -> None:
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
     from matcap.files.output import check_writable
-    from matcap.space.alignment import (
-        load_alignment,
-        save_alignment,
-    )
+    from matcap.space.alignment import load_alignment, save_alignment
     from matcap_lab.train.alignment import report_alignment, train_branch
 
     check_writable(out.parent, 2_000_000)

@@ -25,26 +25,12 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.integrate import integrate_periodic
-from matcap.brdf.maps import (
-    DIFFUSE,
-    HEIGHT,
-    SPECULAR,
-    SURFACE,
-    MapSet,
-)
+from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet
 from matcap.capture.exemplar.network.network import network_inputs
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-)
-from matcap.flash.light import (
-    FlashLight,
-    Uniform,
-    render_flash,
-    uniform_radiance,
-)
+from matcap.flash.geometry import FlashSetup, plane_points
+from matcap.flash.light import FlashLight, Uniform, render_flash, uniform_radiance
 from matcap_lab.simulate.kinds import random_kind
 from matcap_lab.simulate.kinds.metals_and_coats import anodised_f0, metal_colour
 from matcap_lab.simulate.named import realise

@@ -21,16 +21,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    Reflectance,
-    SurfaceParameters,
-    dot,
-)
+from matcap.brdf.cook_torrance import Reflectance, SurfaceParameters, dot
 from matcap.brdf.maps import normals_from_height
-from matcap.capture.exemplar.material_classes import (
-    seen_colour,
-    specular_tint,
-)
+from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.network.network import (
     FORMAT,
     VERSION,
@@ -43,12 +36,7 @@ from matcap.capture.exemplar.network.network import (
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.flash.light import FlashLight
-from matcap.statistics.compare import (
-    FilterBank,
-    FilterBankConfig,
-    gram,
-    pyramid,
-)
+from matcap.statistics.compare import FilterBank, FilterBankConfig, gram, pyramid
 from matcap_lab.inverse.samples import HELD_OUT, REAL_SHARE, Sample, draw_sample, training_sets
 from matcap_lab.measures.evaluator import spherical
 from matcap_lab.simulate.varied import HELD_OUT_PATTERNS

@@ -30,12 +30,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.files.color import srgb_decode
-from matcap.statistics.compare import (
-    FilterBank,
-    FilterBankConfig,
-    gram,
-    pyramid,
-)
+from matcap.statistics.compare import FilterBank, FilterBankConfig, gram, pyramid
 from matcap_lab.simulate.files import REC709_TO_XYZ
 
 

@@ -22,11 +22,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    FlashSetup,
-)
+from matcap.flash.geometry import OWN, Extent, FlashSetup
 from matcap.flash.light import CORNER_SQUARED, shade
 from matcap_lab.simulate.photograph import (
     PhoneCamera,

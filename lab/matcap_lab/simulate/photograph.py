@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-    project,
-    unproject,
-)
+from matcap.flash.geometry import FlashSetup, plane_points, project, unproject
 from matcap.flash.light import render_flash
 from matcap.photo.photo import Photo
 

@@ -24,35 +24,17 @@ from torch import Tensor, zeros
 from matcap.brdf.maps import MapSet
 from matcap.files.color import srgb_encode_tensor
 from matcap.files.pixels import write_png
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-)
+from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
-from matcap.flash.rectify import (
-    Plane,
-    read_plane,
-)
+from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.space.between import blend
-from matcap.space.decoder import (
-    CODE_SIZE,
-    Decoder,
-    DecoderConfig,
-)
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.encoder import FEATURES
 from matcap.space.prior.store import Prior
 from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.finetune import (
-    RATE_FROM_NOTHING,
-    RATE_FROM_PRIOR,
-    TuneSettings,
-    finetune,
-)
-from matcap.space.tuning.match import (
-    log_contrast,
-    untrained,
-)
+from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, TuneSettings, finetune
+from matcap.space.tuning.match import log_contrast, untrained
 from matcap.space.tuning.windows import PhotographTarget, cut_windows
 from matcap.statistics.compare import FilterBank
 from matcap_lab.bench.floors import photo_as_albedo

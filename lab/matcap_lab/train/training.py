@@ -16,12 +16,7 @@ from torch import Tensor
 from matcap.errors import UsageError
 from matcap.files.color import srgb_decode_tensor
 from matcap.space.decoder import DecoderConfig
-from matcap.space.encoder import (
-    BACKBONES,
-    FEATURES,
-    EncoderConfig,
-    texture,
-)
+from matcap.space.encoder import BACKBONES, FEATURES, EncoderConfig, texture
 from matcap.space.prior.store import Prior
 from matcap.statistics.compare import Descriptor, FilterBank
 from matcap_lab.train.corpus import Entry, Pack, first_of_each, srgb_bytes, true_piece

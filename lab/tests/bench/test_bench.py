@@ -12,10 +12,7 @@ from matcap.brdf.cook_torrance import METAL_F0
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.space.decoder import (
-    PAPER_CONFIG,
-    Decoder,
-)
+from matcap.space.decoder import PAPER_CONFIG, Decoder
 from matcap.space.random_field import Patch, noise_field
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench import fields, floors, reflectance, synth

@@ -16,11 +16,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_iter, tree_map
 
-from matcap.brdf.maps import (
-    HEIGHT,
-    SURFACE,
-    normals_from_height,
-)
+from matcap.brdf.maps import HEIGHT, SURFACE, normals_from_height
 from matcap.capture.exemplar.network.network import (
     ANSWERS,
     ERRORS,

@@ -12,10 +12,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.flash.geometry import (
-    FlashSetup,
-    camera_in_plane,
-)
+from matcap.flash.geometry import FlashSetup, camera_in_plane
 from matcap_lab.measures.evaluator import (
     BenchScene,
     bench_scene,

@@ -18,10 +18,7 @@ from matcap.capture.multiview.align import Aligned, aligned
 from matcap.capture.multiview.estimate import predict_alone, registered
 from matcap.capture.registration.camera import Doubles, PosedCamera
 from matcap.capture.registration.register import Registration, register
-from matcap.capture.settings import (
-    MULTIVIEW_STAGES,
-    CaptureClock,
-)
+from matcap.capture.settings import MULTIVIEW_STAGES, CaptureClock
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.photo.checks import CHECKS

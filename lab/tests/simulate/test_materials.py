@@ -12,11 +12,7 @@ from random_maps import steepness
 from matcap.errors import UsageError
 from matcap.flash.light import render_rectified
 from matcap_lab.simulate.kinds import COLOURED_METALS, KINDS, kind_of, random_kind
-from matcap_lab.simulate.kinds.metals_and_coats import (
-    METAL_F0,
-    anodised_f0,
-    metal_colour,
-)
+from matcap_lab.simulate.kinds.metals_and_coats import METAL_F0, anodised_f0, metal_colour
 from matcap_lab.simulate.named import MATERIALS, random_material, realise
 from matcap_lab.simulate.procedural import Canvas, Spectrum, bumps, cells, noise, weave
 from matcap_lab.simulate.specimen import subjects

@@ -20,11 +20,7 @@ from PIL import Image
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-    project,
-)
+from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
 from matcap.photo.load import load_photo

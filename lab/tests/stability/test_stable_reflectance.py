@@ -13,11 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from stable.reflectance import CASES, measured, measured_rendering
 
-from matcap.brdf.cook_torrance import (
-    MIN_ROUGHNESS,
-    cook_torrance,
-    normalize,
-)
+from matcap.brdf.cook_torrance import MIN_ROUGHNESS, cook_torrance, normalize
 from matcap.brdf.maps import MapSet, normals_from_slopes
 from matcap.flash.light import shade
 

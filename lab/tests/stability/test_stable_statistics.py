@@ -5,11 +5,7 @@ import math
 import pytest
 import torch
 
-from matcap.space.decoder import (
-    CODE_SIZE,
-    Decoder,
-    DecoderConfig,
-)
+from matcap.space.decoder import CODE_SIZE, Decoder, DecoderConfig
 from matcap.space.tuning.match import log_contrast
 from matcap.statistics.compare import (
     Encoding,
@@ -21,11 +17,7 @@ from matcap.statistics.compare import (
     fit_encoding,
     gram,
 )
-from matcap.statistics.lattice import (
-    autocorrelation,
-    find_lattice,
-    power_spectrum,
-)
+from matcap.statistics.lattice import autocorrelation, find_lattice, power_spectrum
 
 BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=8, levels=3))
 SIDE = 64

@@ -19,11 +19,7 @@ from matcap.flash.coarse.fit import fit_coarse
 from matcap.space.decoder import DecoderConfig
 from matcap.space.encoder import FEATURES, NUMBERS, TEXTURE, Encoder, EncoderConfig
 from matcap.space.picture import PICTURE_CHANNELS
-from matcap.space.prior.store import (
-    base_of,
-    fold,
-    load_prior,
-)
+from matcap.space.prior.store import base_of, fold, load_prior
 from matcap.statistics.compare import Encoding, FilterBank
 from matcap.statistics.lattice import Wave
 from matcap_lab.cli.main import main

@@ -19,20 +19,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    ALBEDO_LIMITS,
-    F0_LIMITS,
-    ROUGHNESS_LIMITS,
-    Reflectance,
-)
+from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.network.network import SUBSAMPLING
 from matcap.capture.exemplar.observation import AROUND, PlaneLight
-from matcap.capture.exemplar.relief_spectrum import (
-    smoothed,
-    spline_enlarged,
-    split,
-)
+from matcap.capture.exemplar.relief_spectrum import smoothed, spline_enlarged, split
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST, Uniform
 from matcap.flash.rectify import Plane

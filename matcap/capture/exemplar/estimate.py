@@ -18,10 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
-from matcap.brdf.maps import (
-    CHANNELS,
-    MapSet,
-)
+from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.material_classes import find_mixture
@@ -34,10 +31,7 @@ from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
 from matcap.capture.exemplar.refine import radiance_residual, refine_maps
-from matcap.capture.exemplar.relief_spectrum import (
-    ReliefSpectrum,
-    equalise,
-)
+from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, equalise
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureClock
 from matcap.example.example import Example

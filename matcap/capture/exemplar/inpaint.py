@@ -19,13 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import Reflectance
-from matcap.brdf.maps import (
-    DIFFUSE,
-    HEIGHT,
-    ROUGHNESS,
-    SPECULAR,
-    MapSet,
-)
+from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread

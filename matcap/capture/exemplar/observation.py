@@ -17,16 +17,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    F0_LIMITS,
-    Reflectance,
-    SurfaceParameters,
-)
+from matcap.brdf.cook_torrance import F0_LIMITS, Reflectance, SurfaceParameters
 from matcap.brdf.maps import MapSet, normals_from_slopes
-from matcap.capture.exemplar.material_classes import (
-    seen_colour,
-    specular_tint,
-)
+from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.mean_parameters import RingTarget
 from matcap.capture.exemplar.network.network import NetworkInputs, network_inputs
 from matcap.capture.exemplar.relief_spectrum import (
@@ -39,10 +32,7 @@ from matcap.capture.exemplar.relief_spectrum import (
 from matcap.files.color import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.diffuse_share import DiffuseRings, measure_diffuse_share, undeveloped
-from matcap.flash.geometry import (
-    flash_mirror_point,
-    plane_points,
-)
+from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.light import (
     FlashLight,
     Uniform,

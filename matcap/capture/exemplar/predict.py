@@ -18,16 +18,9 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.capture.exemplar.material_classes import Classes, has_metal
-from matcap.capture.exemplar.network.network import (
-    ExpectedErrors,
-    Inverse,
-    NetworkAnswer,
-)
+from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.exemplar.observation import Observation, seen_share
-from matcap.capture.exemplar.relief_spectrum import (
-    WIDE,
-    smoothed,
-)
+from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
 from matcap.example.exemplar import Exemplar
 
 # Expected errors (log, log, logit, slope) at which confidence is 1/e. Larger values trust

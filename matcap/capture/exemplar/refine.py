@@ -50,16 +50,8 @@ from matcap.capture.exemplar.mean_parameters import (
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction
-from matcap.capture.exemplar.relief_spectrum import (
-    WIDE,
-    filled,
-    smoothed,
-    split,
-)
-from matcap.flash.coarse.problem import (
-    CONDUCTOR_F0,
-    DIELECTRIC_F0,
-)
+from matcap.capture.exemplar.relief_spectrum import WIDE, filled, smoothed, split
+from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.

@@ -31,10 +31,7 @@ from matcap.capture.multiview.texels import (
     under_fitted_ambient,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, ViewWarp
-from matcap.capture.registration.adjust import (
-    Pair,
-    adjust,
-)
+from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import (
     Doubles,
     PosedCamera,
@@ -43,11 +40,7 @@ from matcap.capture.registration.camera import (
     transformed,
 )
 from matcap.capture.registration.register import RegisteredView
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    FlashSetup,
-)
+from matcap.flash.geometry import OWN, Extent, FlashSetup
 
 # Settings of the registration by rendering; larger grids are more accurate and slower.
 

@@ -26,10 +26,7 @@ import torch.nn.functional as functional
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    ALBEDO,
-    F0,
-)
+from matcap.brdf.cook_torrance import ALBEDO, F0
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.texels import (
@@ -47,10 +44,7 @@ from matcap.capture.multiview.texels import (
     with_gloss,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
-from matcap.flash.coarse.problem import (
-    CONDUCTOR_F0,
-    DIELECTRIC_F0,
-)
+from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 
 # Settings of the fit; docs/notes/several.md.
 _ACROSS = 160  # texels across the grid

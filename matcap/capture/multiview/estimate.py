@@ -21,14 +21,8 @@ from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.material_classes import Classes
-from matcap.capture.exemplar.mean_parameters import (
-    most_probable_scale,
-    scaled,
-)
-from matcap.capture.exemplar.network.network import (
-    ExpectedErrors,
-    Inverse,
-)
+from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
+from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
 from matcap.capture.exemplar.refine import fitted_to_highlight
@@ -48,18 +42,11 @@ from matcap.capture.multiview.mosaic import (
     with_others,
 )
 from matcap.capture.multiview.pair import on_albedo
-from matcap.capture.multiview.set_report import (
-    LeaveOneOut,
-    SetReport,
-    leave_one_out,
-)
+from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
 from matcap.capture.multiview.solve import Solved, solve
 from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import ResampledView
-from matcap.capture.rectified import (
-    Rectified,
-    network_input,
-)
+from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
 from matcap.capture.settings import CaptureClock
@@ -68,10 +55,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
-from matcap.flash.rectify import (
-    Plane,
-    read_plane,
-)
+from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 

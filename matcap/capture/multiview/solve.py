@@ -19,11 +19,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    ALBEDO,
-    F0,
-    ROUGH,
-)
+from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.multiview.ambient_light import SLOW

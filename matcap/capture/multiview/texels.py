@@ -28,23 +28,11 @@ from matcap.brdf.cook_torrance import (
     Reflectance,
     SurfaceParameters,
 )
-from matcap.brdf.maps import (
-    MapSet,
-    normals_from_height,
-    normals_from_slopes,
-)
+from matcap.brdf.maps import MapSet, normals_from_height, normals_from_slopes
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    plane_points,
-)
-from matcap.flash.light import (
-    DifferentiableLight,
-    linearised,
-    strips,
-)
+from matcap.flash.geometry import OWN, Extent, plane_points
+from matcap.flash.light import DifferentiableLight, linearised, strips
 
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
 GLOSS, SLOPES = slice(3, 5), slice(5, 7)

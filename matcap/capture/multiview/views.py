@@ -20,11 +20,7 @@ from matcap.capture.registration.camera import (
     transformed,
 )
 from matcap.capture.registration.register import RegisteredView
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    FlashSetup,
-)
+from matcap.flash.geometry import OWN, Extent, FlashSetup
 from matcap.flash.light import (
     DARKEST,
     DifferentiableLight,
@@ -33,14 +29,8 @@ from matcap.flash.light import (
     log_vignette,
     strips,
 )
-from matcap.flash.rectify import (
-    FINER,
-    planes_of,
-)
-from matcap.photo.left_out import (
-    CLIPPED_SHARE,
-    area_averaged,
-)
+from matcap.flash.rectify import FINER, planes_of
+from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels

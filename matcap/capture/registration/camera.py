@@ -15,13 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.flash.geometry import (
-    OWN,
-    Extent,
-    FlashSetup,
-    camera_in_plane,
-    setup_rotation,
-)
+from matcap.flash.geometry import OWN, Extent, FlashSetup, camera_in_plane, setup_rotation
 
 Doubles = NDArray[np.float64]
 Points = NDArray[Any]  # of single or double precision

@@ -9,13 +9,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from matcap.capture.registration.adjust import (
-    DISTORTION,
-    Adjusted,
-    Pair,
-    adjust,
-    camera_deviations,
-)
+from matcap.capture.registration.adjust import DISTORTION, Adjusted, Pair, adjust, camera_deviations
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.keypoints import (
     find_keypoints,

@@ -30,17 +30,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    ALBEDO_LIMITS,
-    F0_LIMITS,
-)
-from matcap.flash.coarse.cells import (
-    BLACK,
-    CoarseCells,
-    Unknowns,
-    cells_of,
-    numbers,
-)
+from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS
+from matcap.flash.coarse.cells import BLACK, CoarseCells, Unknowns, cells_of, numbers
 from matcap.flash.coarse.problem import (
     HUBER,
     TONE,
@@ -52,23 +43,12 @@ from matcap.flash.coarse.problem import (
     TiltPrior,
     hypothesis,
 )
-from matcap.flash.diffuse_share import (
-    ACROSS,
-    DiffuseShare,
-    measure_diffuse_share,
-    undeveloped,
-)
+from matcap.flash.diffuse_share import ACROSS, DiffuseShare, measure_diffuse_share, undeveloped
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.light import Uniform
-from matcap.photo.left_out import (
-    CLIPPED_SHARE,
-    area_averaged,
-)
-from matcap.photo.photo import (
-    Photo,
-    ToneCurve,
-)
+from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
+from matcap.photo.photo import Photo, ToneCurve
 
 # Cells across the long side and across the highlight's patch: of the coarse grid for all starting
 # points, and of the fine one for the best.

@@ -25,10 +25,7 @@ from functools import lru_cache
 import numpy as np
 
 from matcap.relight.block import Block
-from matcap.relight.camera import (
-    Array,
-    unit3,
-)
+from matcap.relight.camera import Array, unit3
 from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import (
     LANES,
@@ -41,10 +38,7 @@ from matcap.relight.loops.library import (
     loops,
 )
 from matcap.relight.plan import SceneBounds
-from matcap.relight.scene import (
-    RectangleLight,
-    SphereLight,
-)
+from matcap.relight.scene import RectangleLight, SphereLight
 
 AreaLight = RectangleLight | SphereLight
 SAMPLES = 144

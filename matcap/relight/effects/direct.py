@@ -17,10 +17,7 @@ from ctypes import byref
 import numpy as np
 
 from matcap.relight.block import Block
-from matcap.relight.camera import (
-    Array,
-    unit3,
-)
+from matcap.relight.camera import Array, unit3
 from matcap.relight.effects.bound import Bound
 from matcap.relight.loops.library import (
     DIFFUSE,
@@ -33,12 +30,7 @@ from matcap.relight.loops.library import (
     loops,
 )
 from matcap.relight.plan import LARGEST_ALBEDO, SceneBounds
-from matcap.relight.scene import (
-    DirectionalLight,
-    PointLight,
-    RectangleLight,
-    SphereLight,
-)
+from matcap.relight.scene import DirectionalLight, PointLight, RectangleLight, SphereLight
 
 
 def diffuse_bound(limits: SceneBounds) -> Bound:

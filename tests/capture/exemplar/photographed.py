@@ -11,10 +11,7 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.observation import PhotographLight
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.geometry import (
-    FlashSetup,
-    plane_points,
-)
+from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
 
 SETUP = FlashSetup(fov=65.0, offset=(0.08, 0.04, 0.0), intensity=(6.0,) * 3)

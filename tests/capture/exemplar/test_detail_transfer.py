@@ -19,10 +19,7 @@ from matcap.capture.rectified import network_input
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import render_flash
-from matcap.flash.rectify import (
-    Plane,
-    plane_of,
-)
+from matcap.flash.rectify import Plane, plane_of
 from matcap.statistics.lattice import Wave
 
 

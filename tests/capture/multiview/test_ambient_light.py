@@ -30,10 +30,7 @@ from matcap.capture.multiview.views import RAW_FALLOFF, SharedLight
 from matcap.capture.pipeline import capture_into, capture_photo
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
-from matcap.capture.settings import (
-    CaptureSettings,
-    OutputSettings,
-)
+from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 

@@ -11,10 +11,7 @@ from simulated.files import write_jpeg
 from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, hold, take_several
 
-from matcap.capture.inspection import (
-    coverage,
-    coverage_of_files,
-)
+from matcap.capture.inspection import coverage, coverage_of_files
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.registration.register import register

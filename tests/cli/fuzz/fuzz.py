@@ -28,15 +28,8 @@ import numpy as np
 import torch
 from inputs import spoil, write_inputs
 
-from matcap.batch.samples import (
-    BatchSettings,
-    read_settings,
-)
-from matcap.batch.work import (
-    FILE,
-    is_done,
-    read_record,
-)
+from matcap.batch.samples import BatchSettings, read_settings
+from matcap.batch.work import FILE, is_done, read_record
 from matcap.batch.worker_pool import Processes
 from matcap.brdf.folder import read_mapset
 from matcap.errors import MatcapError

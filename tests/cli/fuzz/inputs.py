@@ -25,11 +25,7 @@ from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
-from matcap.files.names import (
-    DIGEST,
-    METHOD,
-    digest_prefix,
-)
+from matcap.files.names import DIGEST, METHOD, digest_prefix
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import DecoderConfig
 from matcap.statistics.lattice import Wave

@@ -7,24 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.relight.block import (
-    TangentFrame,
-    to_frame,
-)
-from matcap.relight.camera import (
-    Array,
-    Vec,
-    add,
-    dot,
-    scale,
-    subtract,
-    vec,
-)
+from matcap.relight.block import TangentFrame, to_frame
+from matcap.relight.camera import Array, Vec, add, dot, scale, subtract, vec
 from matcap.relight.effects.area import _DENSITY, ORDERS, AreaLight, Rule, _axes, _half
-from matcap.relight.scene import (
-    RectangleLight,
-    SphereLight,
-)
+from matcap.relight.scene import RectangleLight, SphereLight
 from plain.visible_normals import basis
 
 

@@ -6,14 +6,7 @@ import math
 
 import numpy as np
 
-from matcap.relight.camera import (
-    Array,
-    Vec,
-    add,
-    dot,
-    scale,
-    subtract,
-)
+from matcap.relight.camera import Array, Vec, add, dot, scale, subtract
 
 
 def ggx_smith(

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.relight.camera import (
-    Array,
-    Vec,
-)
+from matcap.relight.camera import Array, Vec
 from matcap.relight.relief import Relief
 from plain.relief import at
 

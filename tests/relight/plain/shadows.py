@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from matcap.relight.camera import (
-    Array,
-    Vec,
-)
+from matcap.relight.camera import Array, Vec
 from matcap.relight.relief import Relief
 
 # How far above the surface a ray must start, as a share of the relief, against rounding.

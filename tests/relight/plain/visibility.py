@@ -6,10 +6,7 @@ import math
 
 import numpy as np
 
-from matcap.relight.camera import (
-    Array,
-    Vec,
-)
+from matcap.relight.camera import Array, Vec
 from matcap.relight.loops.library import AZIMUTHS
 
 

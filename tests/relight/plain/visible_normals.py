@@ -8,13 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from matcap.relight.camera import (
-    Array,
-    LatticePoint,
-    Vec,
-    dot,
-    scale,
-)
+from matcap.relight.camera import Array, LatticePoint, Vec, dot, scale
 from matcap.relight.texture import SurfaceSample
 from plain.lobes import schlick_weight
 

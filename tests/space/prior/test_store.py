@@ -122,10 +122,7 @@ def test_draws_repeat_and_differ_by_seed(prior):
 
 def test_drawing_follows_the_habits(prior):
     """Means over many draws are the habits' offset; a sigmoid's argument is the decoder's mean."""
-    from matcap.space.prior.store import (
-        base_from,
-        varying,
-    )
+    from matcap.space.prior.store import base_from, varying
 
     offset = prior.conditional_mean.offset
     torch.testing.assert_close(varying(base_from(offset)), offset)

@@ -17,21 +17,12 @@ from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.files.color import LUMINANCE
 from matcap.space.between import blend
-from matcap.space.decoder import (
-    ALIGNMENT,
-    DEPTH,
-    DRAWING_CHANNELS,
-    Decoder,
-    with_drawing,
-)
+from matcap.space.decoder import ALIGNMENT, DEPTH, DRAWING_CHANNELS, Decoder, with_drawing
 from matcap.space.freeze import Drawing, reference_field
 from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import Adam, Renormalisation, decode_window
-from matcap.space.tuning.match import (
-    MARGIN,
-    Teacher,
-)
+from matcap.space.tuning.match import MARGIN, Teacher
 
 AREA = Rectangle(-64, 32, 128, 96)
 

@@ -6,10 +6,7 @@ from dataclasses import replace
 from tuning import scene
 
 from matcap.space.tuning.windows import self_difference
-from matcap.statistics.compare import (
-    Weights,
-    distance,
-)
+from matcap.statistics.compare import Weights, distance
 
 SEEN = scene()
 

@@ -6,24 +6,11 @@ from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import plane_of
-from matcap.space.decoder import (
-    CODE_SIZE,
-    DecoderConfig,
-    maps_from_raw,
-)
-from matcap.space.tuning.finetune import (
-    TuneSettings,
-    finetune,
-)
-from matcap.space.tuning.match import (
-    log_contrast,
-    untrained,
-)
+from matcap.space.decoder import CODE_SIZE, DecoderConfig, maps_from_raw
+from matcap.space.tuning.finetune import TuneSettings, finetune
+from matcap.space.tuning.match import log_contrast, untrained
 from matcap.space.tuning.windows import PhotographTarget, cut_windows
-from matcap.statistics.compare import (
-    FilterBank,
-    FilterBankConfig,
-)
+from matcap.statistics.compare import FilterBank, FilterBankConfig
 
 WIDTH, HEIGHT, WINDOW = 96, 64, 48
 SETUP = FlashSetup(fov=65.0, offset=(0.1, 0.05, 0.0), intensity=(6.0, 6.0, 6.0))

@@ -21,10 +21,7 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.field.plane import Rectangle
-from matcap.photo.photo import (
-    SHOULDER,
-    ToneCurve,
-)
+from matcap.photo.photo import SHOULDER, ToneCurve
 from matcap.space.tuned import TunedDecoder
 from stable.edges.swept import Domain, Swept
 from stable.photographs import FOV, HARD_PHOTOGRAPHS

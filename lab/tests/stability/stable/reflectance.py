@@ -19,10 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import (
-    cook_torrance,
-    normalize,
-)
+from matcap.brdf.cook_torrance import cook_torrance, normalize
 from matcap.brdf.maps import MapSet
 from matcap.flash.light import shade
 from stable.edges.swept import Domain, Swept

@@ -16,16 +16,9 @@ from matcap.export.formats import Container, Depth
 from matcap.export.job import ExportJob
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
 from matcap.export.texture_file import TextureFile
-from matcap.export.workflows import (
-    SURE_METAL,
-    MetallicAim,
-    to_metallic,
-)
+from matcap.export.workflows import SURE_METAL, MetallicAim, to_metallic
 from matcap.files.color import srgb_decode
-from matcap.files.exr import (
-    LARGEST_HALF,
-    read_exr,
-)
+from matcap.files.exr import LARGEST_HALF, read_exr
 from stable.edges.swept import Swept, compared, log_uniform
 
 _TEXELS = 10_000

@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 from matcap.relight.camera import Vec
 from matcap.relight.effects import relief as parallax
 from matcap.relight.relief import Relief
-from matcap.relight.texture import (
-    Sampler,
-    Texture,
-    alpha_of,
-)
+from matcap.relight.texture import Sampler, Texture, alpha_of
 from stable.edges.swept import Swept, compared, log_uniform
 
 Values = NDArray[np.float64]

@@ -30,10 +30,7 @@ from matcap.relight.scene import (
     SphereLight,
     Surface,
 )
-from matcap.relight.texture import (
-    Texture,
-    alpha_of,
-)
+from matcap.relight.texture import Texture, alpha_of
 from stable.edges.swept import Swept, compared, log_uniform
 from stable.reflectance import CASES, SMOOTH
 
