@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 from matcap.statistics.compare import FilterBankConfig, Weights
 
-# Variants of the capture method for experiments; not user settings.
-
-
 WINDOW = 160  # side of the windows whose texture statistics are compared, texels
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)
 

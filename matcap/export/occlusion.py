@@ -13,8 +13,6 @@ from torch import Tensor
 
 from matcap.export.formats import Picture
 
-# Ambient occlusion, cavity and bent normals of a height field, from horizon maps [max1988].
-#
 # From each texel the height field is sampled along AZIMUTHS directions in growing steps; the
 # highest elevation is the horizon. Visibility and mean direction above it are closed-form integrals
 # over the elevation e, from the horizon to the zenith, with direction w:

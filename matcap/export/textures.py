@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from matcap.export.shading import MadeSurface, Reader, TargetSurface
 
 
-# Result of an exporter, and the textures that several write.
-
-
 Workflow = Literal["metallic", "specular"]
 
 # Meanings of textures' values, for sidecars.

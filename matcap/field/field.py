@@ -11,8 +11,6 @@ from matcap.field.device import DeviceName, find_device
 from matcap.field.plane import BLOCK, BlockPart, Period, Rectangle, block_parts, check_rectangle
 from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inner, single_threaded
 
-# Field: random access to the endless material.
-#
 # The plane is cut into a fixed grid of blocks. A block is always computed whole, from the same
 # inputs, on one thread. Its texels therefore have the same bits whatever rectangle is read, in
 # whatever order, and however many blocks are computed in parallel.

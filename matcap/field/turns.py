@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from matcap.files.settings import COORDINATE_LIMIT as COORDINATE_LIMIT
 from matcap.files.settings import Rectangle as Rectangle
 
-# Exact phases of plane waves on the endless plane, in integers of 2^-64 turn.
-#
 # The phase at texel (x, y) is x * step_x + y * step_y + start, a sum of Python's integers. It has
 # no rounding error however far away a texel lies, and wraps modulo 2^64 as turns do.
 

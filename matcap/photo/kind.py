@@ -10,8 +10,6 @@ from matcap.files.exr import MAGIC
 from matcap.photo.dng import raw_page
 from matcap.photo.photo import READABLE, decoding
 
-# Detects a photograph's format by its first bytes; by suffix only for RAW files that are TIFFs.
-
 
 class FileKind(Enum):
     """Formats of photographs."""

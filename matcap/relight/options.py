@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from matcap.files.settings import Size
 
 
-# Options of `matcap relight`.
-
-
 _LARGEST = 32768  # pixels of a side
 _MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
 

@@ -15,8 +15,6 @@ from matcap.brdf.maps import MapSet
 from matcap.space.layers import wrap
 from matcap.space.random_field import WAVE_CHANNELS, RandomField
 
-# The decoder: a U-Net that turns a random field into maps [henzler2021, sec. 4.2].
-#
 # Noise enters at full resolution, is halved by max-pooling four times and doubled back by bilinear
 # upsampling with skip connections. On the way up every level also receives a drawing, if the
 # decoder reads one (freeze.py), and the material's lattice channels, if it has a lattice

@@ -9,8 +9,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import Function, FunctionCtx, once_differentiable
 
-# Layers: residual blocks, convolution on a torus, and convolution without padding.
-#
 # Residual blocks [he2016] are those of encoder and alignment branch. The decoder is trained on a
 # torus, padded circularly, and frozen for endless fields, where nothing is padded.
 

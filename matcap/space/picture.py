@@ -8,9 +8,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-# Downsampled photograph and image coordinates: the image input of encoder and alignment branch.
-
-
 PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
 _TOE = 0.03  # added inside the logarithm, as a share of the median radiance
 

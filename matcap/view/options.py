@@ -8,8 +8,6 @@ from pathlib import Path
 from matcap.files import settings as values
 from matcap.files.settings import CheckedSettings, setting
 
-# Options of `matcap view`.
-
 
 @dataclass(frozen=True)
 class ViewOptions(CheckedSettings):
