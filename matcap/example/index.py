@@ -177,7 +177,8 @@ def build_index(
         waves: approximate frequency vectors of its lattice, cycles per texel; or none.
         straight: whether they are exact, of a lattice without a bend.
         part: that fields may show, of at least 14 texels a side; None for all.
-        one_light: whether relief is known along one direction at each place (evenness.py).
+        one_light: whether relief is known along one direction at each place, so that what departs
+            by a trend has a penalty (evenness.py); else patches are placed by rule 1.
     """
     shown = part or Frame.of(*exemplar.size)
     planes = planes_of(exemplar)
