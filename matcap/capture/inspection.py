@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.mosaic import mosaic_of, sees
@@ -71,7 +72,7 @@ def inspect_file(
     photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(
         _quality(photo, coarse, plane),
-        Observation.of(plane, coarse).relief_spectrum(),
+        measured_spectrum(Observation.of(plane, coarse)),
         tilt_document(coarse),
     )
 

@@ -16,22 +16,31 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import find_mixture
+from matcap.capture.exemplar.material_classes import find_mixture, tinted
 from matcap.capture.exemplar.mean_parameters import (
+    RingTarget,
     diffuse_share_residual,
     most_probable_scale,
     scaled,
 )
 from matcap.capture.exemplar.network.network import Inverse
-from matcap.capture.exemplar.observation import Observation
+from matcap.capture.exemplar.observation import Observation, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
 from matcap.capture.exemplar.refine import radiance_residual, refine_maps
-from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, equalise
+from matcap.capture.exemplar.relief_spectrum import (
+    RESPONSE_AROUND,
+    ReliefSpectrum,
+    equalise,
+    filled,
+    measure_relief_spectrum,
+    smoothed,
+)
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureClock
 from matcap.example.example import Example
@@ -191,7 +200,7 @@ def estimate_exemplar(
         scale=scale,
         level_deviation=coarse.level_deviation,
         diffuse_share_residual=diffuse_share_residual(
-            observed.ring_target(prediction.residuals, prediction.classes.metal)
+            RingTarget.of(observed, prediction.residuals, prediction.classes.metal)
         ),
         turned=turned,
     )
@@ -268,11 +277,36 @@ def _shown(kept: TexelMask) -> Frame | None:
 
 
 def measured_spectrum(
-    observed: Observation, prediction: NetworkPrediction
+    observed: Observation, prediction: NetworkPrediction | None = None
 ) -> ReliefSpectrum | None:
-    """Relief and albedo energies measured in the photograph; None if too few texels are valid."""
-    shown = observed.light.slope_sensitivity(observed.light.maps(prediction.residuals))
-    return observed.relief_spectrum(shown)
+    """Relief and albedo energies measured in the photograph; None if too few texels are valid.
+
+    The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
+    predicted maps (docs/notes/capture.md); the difference of both adds to the deviation: bare
+    metal between rust has three times the sensitivity of both together.
+    """
+    other, plane, use = None, observed.plane, observed.plane.measured.numpy()
+    if prediction is not None:
+        maps = observed.light.maps(prediction.residuals)
+        other = _even(observed.light.slope_sensitivity(maps))
+    # Interpolate clipped texels, to no less than the clipped value.
+    channels = zip(observed.inputs.log.numpy(), use, strict=True)
+    whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
+    weights = channel_weights(observed.noise)
+    variance = (weights * observed.noise).square().sum(0)[plane.valid]
+    return measure_relief_spectrum(
+        np.asarray((weights.numpy() * whole).sum(0), np.float32),
+        _even(observed.inputs.slope_sensitivity),
+        use.mean(0, dtype=np.float32),
+        float(variance.mean().sqrt()) if variance.numel() else 0.0,
+        matte=(1.0 - observed.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
+        other_sensitivity=other,
+    )
+
+
+def _even(sensitivity: Tensor) -> NDArray[np.float32]:
+    """Smoothed sensitivity (2, H, W)."""
+    return np.stack([smoothed(s, RESPONSE_AROUND) for s in sensitivity.numpy()])
 
 
 def scaled_to_spectrum(
@@ -290,12 +324,12 @@ def classified(
     """Classify texels; a class varies in albedo (of metal: F0) and relief, roughness with it."""
     classes = prediction.classes
     if prediction.logit is not None:
-        target = observed.ring_target(prediction.residuals, (False,))
+        target = RingTarget.of(observed, prediction.residuals, (False,))
         target = replace(target, surface=observed.light.uniform)
         mixture = find_mixture(prediction.residuals, prediction.logit, target)
         if mixture.likely(observed.light.uniform):
             classes = mixture.classes
-            observed = observed.tinted(classes.metal_share)
+            observed = tinted(observed, classes.metal_share)
     gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
     constrained = classes.constrained(prediction.residuals, gloss)
     return observed, replace(prediction, residuals=constrained, classes=classes)

@@ -23,6 +23,7 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
     how_metallic,
 )
+from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
 from matcap.flash.coarse.problem import Gaussian
 from matcap.flash.light import DARKEST
@@ -75,6 +76,12 @@ def specular_tint(metal: Tensor, colour: Tensor) -> Tensor:
         colour: (..., 3, H, W) colour of the metal (seen_colour).
     """
     return 1.0 + metal * (colour - 1.0)
+
+
+def tinted(observed: Observation, metal: Tensor) -> Observation:
+    """The observation with the specular tint of texels, by their share (1, H, W) of metal."""
+    seen = seen_colour(observed.plane.linear, metal * observed.shown.all(0, keepdim=True))
+    return replace(observed, light=replace(observed.light, tint=specular_tint(metal, seen)))
 
 
 def _mean(picture: Tensor) -> Tensor:

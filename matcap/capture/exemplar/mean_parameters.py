@@ -22,6 +22,7 @@ from matcap.brdf.cook_torrance import (
     Reflectance,
     SurfaceParameters,
 )
+from matcap.capture.exemplar.observation import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE
@@ -222,6 +223,30 @@ class RingTarget:
     """Radiance at which the photograph clips; resampling may exceed it."""
     diffuse: DiffuseRings | None = None
     """Colour scatter of the texture, of one class that is dielectric; None of others."""
+
+    @staticmethod
+    def of(
+        observed: Observation, residuals: SurfaceParameters, metal: tuple[bool, ...]
+    ) -> RingTarget:
+        """The photograph around its mirror point, with a surface.
+
+        Args:
+            observed: the photograph.
+            residuals: log parameters of the surface less those of the coarse fit.
+            metal: whether each of its classes is metal.
+        """
+        return RingTarget(
+            linear=observed.plane.linear,
+            measured=observed.shown,
+            counts=observed.within,
+            distance=observed.from_mirror_point,
+            flash=observed.light.flash,
+            normal=observed.light.maps(residuals).normal,
+            surface=observed.light.uniform + residuals,
+            tints=tuple(observed.light.tint if each else 1.0 for each in metal),
+            limit=observed.plane.encoding.limit,
+            diffuse=observed.diffuse if metal == (False,) else None,
+        )
 
     def thinned(self, texels: int) -> RingTarget:
         """Subsample so that at least `texels` remain along the short side."""

@@ -19,16 +19,8 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import F0_LIMITS, Reflectance, SurfaceParameters
 from matcap.brdf.maps import MapSet, normals_from_slopes
-from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
-from matcap.capture.exemplar.mean_parameters import RingTarget
 from matcap.capture.exemplar.network.network import NetworkInputs, network_inputs
-from matcap.capture.exemplar.relief_spectrum import (
-    RESPONSE_AROUND,
-    ReliefSpectrum,
-    filled,
-    measure_relief_spectrum,
-    smoothed,
-)
+from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.files.color import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.diffuse_share import DiffuseRings, measure_diffuse_share, undeveloped
@@ -186,36 +178,6 @@ class Observation:
         """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
         return torch.hypot(*from_vignetting_centre(self.points, self.coarse.setup))
 
-    def relief_spectrum(self, predicted: Tensor | None = None) -> ReliefSpectrum | None:
-        """Relief spectrum measured in the photograph; None if too few texels are valid.
-
-        The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
-        predicted maps (docs/notes/capture.md); the difference of both adds to the deviation.
-
-        Args:
-            predicted: (2, H, W) d log L / d slope of the predicted maps: bare metal between rust
-                has three times the sensitivity of both together.
-        """
-        plane, use = self.plane, self.plane.measured.numpy()
-        # Interpolate clipped texels, to no less than the clipped value.
-        channels = zip(self.inputs.log.numpy(), use, strict=True)
-        whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
-        weights = channel_weights(self.noise)
-        variance = (weights * self.noise).square().sum(0)[plane.valid]
-        return measure_relief_spectrum(
-            np.asarray((weights.numpy() * whole).sum(0), np.float32),
-            _even(self.inputs.slope_sensitivity),
-            use.mean(0, dtype=np.float32),
-            float(variance.mean().sqrt()) if variance.numel() else 0.0,
-            matte=(1.0 - self.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
-            other_sensitivity=None if predicted is None else _even(predicted),
-        )
-
-    def tinted(self, metal: Tensor) -> Observation:
-        """Set the specular tint to the colour of texels by their share (1, H, W) of metal."""
-        seen = seen_colour(self.plane.linear, metal * self.shown.all(0, keepdim=True))
-        return replace(self, light=replace(self.light, tint=specular_tint(metal, seen)))
-
     @cached_property
     def diffuse(self) -> DiffuseRings | None:
         """Colour scatter of the texture by ring around the mirror point; None without colour."""
@@ -235,26 +197,6 @@ class Observation:
         )
         colour = torch.tensor(self.coarse.setup.intensity, dtype=torch.float64)
         return None if measured is None else measured.under(colour)
-
-    def ring_target(self, residuals: SurfaceParameters, metal: tuple[bool, ...]) -> RingTarget:
-        """Target of fit_mean_parameters: the photograph around its mirror point, with a surface.
-
-        Args:
-            residuals: log parameters of the surface less those of the coarse fit.
-            metal: whether each of its classes is metal.
-        """
-        return RingTarget(
-            linear=self.plane.linear,
-            measured=self.shown,
-            counts=self.within,
-            distance=self.from_mirror_point,
-            flash=self.light.flash,
-            normal=self.light.maps(residuals).normal,
-            surface=self.light.uniform + residuals,
-            tints=tuple(self.light.tint if each else 1.0 for each in metal),
-            limit=self.plane.encoding.limit,
-            diffuse=self.diffuse if metal == (False,) else None,
-        )
 
 
 def seen_share(measured: Tensor) -> NDArray[np.float32]:
@@ -276,11 +218,6 @@ def lit(linear: Tensor) -> Tensor:
     """
     grey = linear.mean(0).clamp_max(2.0 * _UNLIT).numpy()
     return torch.from_numpy(smoothed(grey, AROUND) > _UNLIT)
-
-
-def _even(sensitivity: Tensor) -> NDArray[np.float32]:
-    """Smoothed sensitivity (2, H, W)."""
-    return np.stack([smoothed(s, RESPONSE_AROUND) for s in sensitivity.numpy()])
 
 
 def channel_noise(plane: Plane) -> Tensor:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
-from matcap.capture.exemplar.material_classes import Classes, has_metal
+from matcap.capture.exemplar.material_classes import Classes, has_metal, tinted
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.exemplar.observation import Observation, seen_share
 from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
@@ -58,7 +58,7 @@ def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, 
     confidence[0] *= 1.0 - observed.specular_fraction
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
-        observed = observed.tinted(classes.metal_share)
+        observed = tinted(observed, classes.metal_share)
     mixed = has_metal(answer.metal) and not observed.coarse.by_hand
     logit = answer.metal if mixed else None
     return observed, NetworkPrediction(answer.residuals, answer.errors, confidence, logit, classes)

@@ -45,6 +45,7 @@ from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
+    RingTarget,
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
@@ -179,7 +180,7 @@ def _fitted_mean_parameters(
         texels: short side of the grid of the fit, at least.
     """
     classes = prediction.classes
-    target = observed.ring_target(prediction.residuals, classes.metal)
+    target = RingTarget.of(observed, prediction.residuals, classes.metal)
     step = max(1, min(target.distance.shape) // texels)
     shares = classes.shares[:, ::step, ::step]
     deviation = torch.tensor(

@@ -15,6 +15,7 @@ from arrays import photo_from_array
 from photographed import photographed
 from typer.testing import CliRunner
 
+from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.network.network import network_inputs
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import (
@@ -204,7 +205,7 @@ def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
     linear, true = _shot(768, 576)
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
     coarse = fit_coarse(photo)
-    result = Observation.of(read_plane(photo, coarse.setup, 768), coarse).relief_spectrum()
+    result = measured_spectrum(Observation.of(read_plane(photo, coarse.setup, 768), coarse))
     assert result is not None
     assert result.relief == pytest.approx(true, rel=0.1)
 
