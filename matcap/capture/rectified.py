@@ -19,6 +19,7 @@ from torch import Tensor
 from matcap.capture.exemplar.network.network import MOST_RESIDUAL, SUBSAMPLING
 from matcap.capture.settings import DETAIL
 from matcap.field.source import one_thread
+from matcap.flash.alignment import tilt_measurement
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import plane_points
@@ -26,7 +27,6 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.left_out import area_averaged, mirrored
 from matcap.photo.photo import Photo
-from matcap.space.alignment import tilt_measurement
 from matcap.statistics.lattice import Wave, find_lattice
 
 # The coarse fit with the alignment branch's tilt as a prior.

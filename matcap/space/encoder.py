@@ -11,10 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from matcap.errors import UsageError
+from matcap.flash.alignment import PICTURE_CHANNELS, Shortcut, convolution, residual_block
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.space.decoder import CODE_SIZE
-from matcap.space.layers import Shortcut, convolution, residual_block
-from matcap.space.picture import PICTURE_CHANNELS
 from matcap.statistics.compare import (
     Descriptor,
     FilterBank,

@@ -1,4 +1,4 @@
-"""Layers: residual blocks, convolution on a torus, and convolution without padding."""
+"""Layers of the decoder: convolution on a torus in training, without padding in endless fields."""
 
 from __future__ import annotations
 
@@ -6,47 +6,8 @@ from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 from torch.autograd.function import Function, FunctionCtx, once_differentiable
-
-# Residual blocks [he2016] are those of encoder and alignment branch. The decoder is trained on a
-# torus, padded circularly, and frozen for endless fields, where nothing is padded.
-
-
-_GROUP = 16  # channels normalised together
-
-
-class Shortcut(nn.Module):
-    """Layers with a shortcut: identity, or a 1 x 1 convolution where the shape changes."""
-
-    def __init__(self, layers: Sequence[nn.Module], inputs: int, outputs: int, stride: int) -> None:
-        super().__init__()
-        self.body = nn.Sequential(*layers)
-        self.shortcut: nn.Module = nn.Identity()
-        if inputs != outputs or stride != 1:
-            self.shortcut = nn.Sequential(*convolution(inputs, outputs, 1, stride))
-
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
-        return F.relu(self.body(features) + self.shortcut(features))
-
-
-def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
-    """Two 3 x 3 convolutions with a shortcut."""
-    layers = [
-        *convolution(inputs, outputs, 3, stride),
-        nn.ReLU(inplace=True),
-        *convolution(outputs, outputs, 3),
-    ]
-    return Shortcut(layers, inputs, outputs, stride)
-
-
-def convolution(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
-    """A convolution with group normalisation."""
-    return [
-        nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False),
-        nn.GroupNorm(outputs // _GROUP, outputs),
-    ]
 
 
 def wrap(features: Tensor) -> Tensor:

@@ -30,13 +30,13 @@ from matcap.capture.report import OutputSettings, write_outputs
 from matcap.capture.settings import DETAIL, CaptureSettings
 from matcap.field.material import Material
 from matcap.field.opened import open_photographed
+from matcap.flash.alignment import TiltMeasurement
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup, Margins
 from matcap.flash.rectify import plane_of
 from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import relight
 from matcap.relight.scene import Film
-from matcap.space.alignment import TiltMeasurement
 from matcap.statistics.lattice import Lattice, Wave
 
 # Coarse textures are captured with half the texels; previews render some of large maps.

@@ -31,6 +31,7 @@ ROOT = Path(__file__).parents[2]
 # What git tracks in the package and setuptools would leave out unless told.
 DATA = (
     "matcap/py.typed",
+    "matcap/flash/weights/alignment.safetensors",
     "matcap/space/prior/weights/prior.safetensors",
     "matcap/capture/exemplar/network/weights/inverse.safetensors",
     "matcap/view/page/view.js",

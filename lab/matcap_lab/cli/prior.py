@@ -112,7 +112,7 @@ def align(
 ) -> None:
     """Train the alignment branch, which predicts a photograph's tilt, on simulated ones."""
     from matcap.files.output import check_writable
-    from matcap.space.alignment import load_alignment, save_alignment
+    from matcap.flash.alignment import load_alignment, save_alignment
     from matcap_lab.train.alignment import report_alignment, train_branch
 
     check_writable(out.parent, 2_000_000)

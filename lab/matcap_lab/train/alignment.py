@@ -25,13 +25,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.coarse.problem import TiltPrior
-from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import CORNER_SQUARED
-from matcap.photo.exif import phone_fov
-from matcap.photo.photo import Photo
-from matcap.space.alignment import (
+from matcap.flash.alignment import (
     UNKNOWN_FOV,
     WIDTH,
     Alignment,
@@ -39,9 +33,16 @@ from matcap.space.alignment import (
     PictureTilt,
     conditions,
     evidence,
+    log_colour,
+    picture_coordinates,
     tilt_measurement,
 )
-from matcap.space.picture import log_colour, picture_coordinates
+from matcap.flash.coarse.fit import fit_coarse
+from matcap.flash.coarse.problem import TiltPrior
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.light import CORNER_SQUARED
+from matcap.photo.exif import phone_fov
+from matcap.photo.photo import Photo
 from matcap_lab.simulate.kinds import KINDS, RandomKind, kind_of
 from matcap_lab.simulate.photograph import (
     PhoneCamera,

@@ -19,11 +19,10 @@ from torch import Tensor
 
 from matcap.errors import UsageError
 from matcap.files.output import Output
+from matcap.flash.alignment import load_alignment, picture, save_alignment
 from matcap.flash.rectify import rectify
-from matcap.space.alignment import load_alignment, save_alignment
 from matcap.space.decoder import CODE_SIZE, Decoder
 from matcap.space.encoder import Encoder, describe_windows, numbers, texture
-from matcap.space.picture import picture
 from matcap.space.prior.store import (
     VARYING,
     Anchor,

@@ -20,12 +20,12 @@ from torch import Tensor, nn
 from matcap.brdf.maps import MapSet, energy_between, relief_difference, shown_energy
 from matcap.errors import UsageError
 from matcap.field.plane import Rectangle
+from matcap.flash.alignment import picture
 from matcap.flash.geometry import camera_in_plane, plane_points
 from matcap.flash.light import FlashLight, shade, vignette
 from matcap.flash.rectify import read_plane
 from matcap.space.decoder import DEPTH, OUTPUTS, Decoder, DecoderConfig, maps_from_raw
 from matcap.space.encoder import Encoder, EncoderConfig, numbers, texture
-from matcap.space.picture import picture
 from matcap.space.prior.store import Base, Prior, base_of
 from matcap.space.random_field import WAVE_CHANNELS, Patch, RandomField, noise_field, wave_field
 from matcap.statistics.compare import Descriptor, Encoding, FilterBank, Weights, describe, distance

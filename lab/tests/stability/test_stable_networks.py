@@ -6,11 +6,11 @@ from plain_decoder import decoded
 
 from matcap.field.field import Field
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
+from matcap.flash.alignment import PICTURE_CHANNELS
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import ALIGNMENT, CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw
 from matcap.space.encoder import NUMBERS, TEXTURE, Encoder, EncoderConfig
 from matcap.space.freeze import fold, freeze
-from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.statistics.lattice import Wave

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
+from matcap.flash.alignment import tilt_measurement
 from matcap.flash.geometry import FlashSetup, setup_rotation
-from matcap.space.alignment import tilt_measurement
 from matcap_lab.simulate.kinds import RandomKind
 from matcap_lab.train.alignment import (
     HELD_OUT_KINDS,

@@ -12,7 +12,7 @@ from packs import jpeg
 from small import SMALL
 
 from matcap.errors import MatcapError, UsageError
-from matcap.space.alignment import load_alignment
+from matcap.flash.alignment import load_alignment
 from matcap.space.prior.store import SHIPPED, base_of, load_prior
 from matcap.space.tuning.finetune import Tuned
 from matcap_lab.experiment.runner import Configuration

@@ -15,10 +15,10 @@ from small import SMALL
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
+from matcap.flash.alignment import PICTURE_CHANNELS
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.space.decoder import DecoderConfig
 from matcap.space.encoder import FEATURES, NUMBERS, TEXTURE, Encoder, EncoderConfig
-from matcap.space.picture import PICTURE_CHANNELS
 from matcap.space.prior.store import base_of, fold, load_prior
 from matcap.statistics.compare import Encoding, FilterBank
 from matcap.statistics.lattice import Wave

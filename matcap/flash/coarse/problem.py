@@ -71,7 +71,7 @@ _MEAN, _DEVIATION = (
 
 @dataclass(frozen=True)
 class TiltPrior:
-    """A Gaussian measurement of both tilt angles from elsewhere (space/alignment.py).
+    """A Gaussian measurement of both tilt angles from elsewhere (flash/alignment.py).
 
     Times the distribution of tilts it takes the place of the fit's own prior, which is as narrow as
     it is because errors of the tone curve look like tilt, and not because tilts are small.

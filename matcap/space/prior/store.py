@@ -21,6 +21,7 @@ from matcap.field.header import DAMAGED
 from matcap.field.material import Material
 from matcap.field.options import SPREAD
 from matcap.files.tensors import StoredTensors, write_tensors
+from matcap.flash.alignment import picture
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
@@ -36,7 +37,6 @@ from matcap.space.encoder import (
     texture,
 )
 from matcap.space.freeze import freeze
-from matcap.space.picture import picture
 from matcap.space.tuned import TunedDecoder, config_document, decoder_config, empty_decoder
 from matcap.space.tuning.match import head_start, log_contrast
 from matcap.statistics.lattice import Wave, find_lattice
@@ -235,7 +235,7 @@ def origin() -> Anchor:
 #
 # One safetensors file: encoder and decoder in half precision, the conditional mean, anchors, and
 # JSON metadata. Nothing in it is executed; every shape is checked against the description, and an
-# error names the tensor. The alignment branch has a file of its own (space/alignment.py), as
+# error names the tensor. The alignment branch has a file of its own (flash/alignment.py), as
 # captures need it without the prior.
 
 

@@ -11,8 +11,7 @@ from simulated.materials import piece
 from simulated.photographs import PhoneCamera, as_photo, take
 
 from matcap.errors import MatcapError
-from matcap.flash.geometry import FlashSetup, setup_rotation
-from matcap.space.alignment import (
+from matcap.flash.alignment import (
     SHIPPED,
     Alignment,
     convergence,
@@ -20,6 +19,7 @@ from matcap.space.alignment import (
     save_alignment,
     tilt_measurement,
 )
+from matcap.flash.geometry import FlashSetup, setup_rotation
 
 # The alignment branch: what it says of photographs, how sure it is, and its file.
 

@@ -5,6 +5,7 @@ spectra.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +22,6 @@ from torch import Tensor, nn
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.photo.photo import Photo
-from matcap.space.layers import residual_block
-from matcap.space.picture import PICTURE_CHANNELS, picture
 
 # Tilt from perspective: how the local spectra of a texture change across the picture.
 #
@@ -176,7 +175,7 @@ def _free(kx: NDArray[np.float64], ky: NDArray[np.float64], side: int, oriented:
 # it is a separate network, because every capture needs the tilt and most need no latent vector.
 # Cues are the light's falloff, the highlight's position and the texture's foreshortening. The first
 # two depend on image position, so features are pooled on a grid, and a blurred image is an input of
-# the last layers. The foreshortening of fine texture is measured separately (alignment.py); a
+# the last layers. The foreshortening of fine texture is measured separately (convergence); a
 # second, small network weighs the three estimates of each angle. Trained on simulated photographs
 # of known tilt (lab/matcap_lab/train/alignment.py).
 #
@@ -187,7 +186,7 @@ def _free(kx: NDArray[np.float64], ky: NDArray[np.float64], side: int, oriented:
 WIDTH = 256  # columns of the input image
 CONDITIONS = 3  # scalar inputs
 UNKNOWN_FOV = 45.0  # degrees: input of a photograph whose field of view is not known
-SHIPPED = Path(__file__).parent / "prior" / "weights" / "alignment.safetensors"
+SHIPPED = Path(__file__).parent / "weights" / "alignment.safetensors"
 
 _FORMAT = "matcap-alignment-2"
 _REMEDY = "install matcap again, or train the branch with `matcap-lab prior align`"
@@ -195,6 +194,8 @@ _GRID = (3, 4)  # rows and columns of the pooled features
 _BLURRED = (12, 16)  # rows and columns of the pooled picture
 _WIDTHS = (32, 48, 64, 64)  # channels of the layers after the first
 _UNIT = 0.15  # radians per unit of the last layer's means
+PICTURE_CHANNELS = 5  # log colour, and the two image coordinates
+_GROUP = 16  # channels normalised together
 _LOG_STD = (math.log(0.002), math.log(0.3))  # limits of the standard deviation, log radians
 
 
@@ -213,11 +214,44 @@ class TiltEvidence(NamedTuple):
     """What a photograph says of its tilt: the branch's inputs."""
 
     picture: Tensor
-    """(PICTURE_CHANNELS, h, WIDTH) of picture.picture()."""
+    """(PICTURE_CHANNELS, h, WIDTH) of picture()."""
     conditions: Tensor
     """(CONDITIONS,) of conditions()."""
     slopes: Tensor
     """(ESTIMATES, 4) of convergence(), times the camera's distance: tangents."""
+
+
+class Shortcut(nn.Module):
+    """Layers with a shortcut: identity, or a 1 x 1 convolution where the shape changes."""
+
+    def __init__(self, layers: Sequence[nn.Module], inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(*layers)
+        self.shortcut: nn.Module = nn.Identity()
+        if inputs != outputs or stride != 1:
+            self.shortcut = nn.Sequential(*convolution(inputs, outputs, 1, stride))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, inputs, h, w) to (B, outputs, h / stride, w / stride)."""
+        return F.relu(self.body(features) + self.shortcut(features))
+
+
+def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
+    """Two 3 x 3 convolutions with a shortcut."""
+    layers = [
+        *convolution(inputs, outputs, 3, stride),
+        nn.ReLU(inplace=True),
+        *convolution(outputs, outputs, 3),
+    ]
+    return Shortcut(layers, inputs, outputs, stride)
+
+
+def convolution(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:
+    """A convolution with group normalisation."""
+    return [
+        nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False),
+        nn.GroupNorm(outputs // _GROUP, outputs),
+    ]
 
 
 class Fusion(nn.Module):
@@ -278,7 +312,7 @@ class PictureTilt(nn.Module):
         """Means and log standard deviations of (tilt_x, tilt_y), (B, 2) each, in radians.
 
         Args:
-            pictures: (B, PICTURE_CHANNELS, h, WIDTH) from picture.picture().
+            pictures: (B, PICTURE_CHANNELS, h, WIDTH) from picture().
             conditions: (B, CONDITIONS) from conditions().
         """
         features = self.features(pictures.contiguous(memory_format=torch.channels_last))
@@ -301,6 +335,27 @@ class Alignment(nn.Module):
         stated = seen.conditions[None]
         mean, log_std = self.picture(seen.picture[None], stated)
         return self.fusion(mean, log_std, stated, seen.slopes[None])
+
+
+def picture(pixels: NDArray[np.float32], width: int) -> Tensor:
+    """(5, h, width) of (H, W, 3) linear pixels: log_colour, then picture_coordinates."""
+    height = round(width * pixels.shape[0] / pixels.shape[1])
+    small = cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA)
+    linear = torch.from_numpy(np.ascontiguousarray(small.transpose(2, 0, 1)))
+    return torch.cat([log_colour(linear), picture_coordinates(width, height)])
+
+
+def log_colour(linear: Tensor) -> Tensor:
+    """(3, h, w) log(L / median + 0.03) of linear radiance L; independent of the exposure."""
+    median = linear.mean(0).median().clamp_min(1e-6)
+    return torch.log(linear.clamp(0.0, 1.0) / median + _TOE)
+
+
+def picture_coordinates(width: int, height: int) -> Tensor:
+    """(2, h, w) coordinates of pixel centres: u right, in [-1, 1], v up, in the same unit."""
+    u = (torch.arange(width) + 0.5) / width * 2.0 - 1.0
+    v = (1.0 - (torch.arange(height) + 0.5) / height * 2.0) * height / width
+    return torch.stack([u.expand(height, width), v[:, None].expand(height, width)])
 
 
 def conditions(fov: Tensor, known: Tensor, radiometric: Tensor) -> Tensor:
