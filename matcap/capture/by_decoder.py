@@ -17,8 +17,7 @@ from torch import Tensor, nn
 
 from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
-from matcap.capture.method import FEATURES, WINDOW, Method
-from matcap.capture.rectified import Rectified
+from matcap.capture.rectified import FEATURES, WINDOW, Method, Rectified
 from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
 from matcap.capture.settings import CaptureClock, CaptureSettings, Effort
 from matcap.errors import MatcapError

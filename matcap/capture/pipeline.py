@@ -14,8 +14,7 @@ from pathlib import Path
 from matcap.capture.bracket import find_brackets, merge_bracket
 from matcap.capture.exemplar.estimate import KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
-from matcap.capture.method import Method
-from matcap.capture.rectified import Rectified, fit_photograph
+from matcap.capture.rectified import Method, Rectified, fit_photograph
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.report import write_outputs
 from matcap.capture.result import CaptureResult, judge_material, provenance

@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
 from matcap.photo.checks import Rating, Region
-from matcap.photo.orient import standing
+from matcap.photo.photo import standing
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet

@@ -27,7 +27,22 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.left_out import area_averaged, mirrored
 from matcap.photo.photo import Photo
+from matcap.statistics.compare import FilterBankConfig, Weights
 from matcap.statistics.lattice import Wave, find_lattice
+
+WINDOW = 160  # side of the windows whose texture statistics are compared, texels
+FEATURES = FilterBankConfig(sizes=(5,), filters=64)
+
+
+@dataclass(frozen=True)
+class Method:
+    """A variant of the capture method; by default the one that measured best."""
+
+    weights: Weights = Weights()
+    """Weights of the texture statistics in their sum."""
+    measured_tilt: bool = True
+    """Whether the alignment branch's tilt is a prior of the coarse fit."""
+
 
 # The coarse fit with the alignment branch's tilt as a prior.
 

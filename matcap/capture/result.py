@@ -23,8 +23,7 @@ from matcap.field.material import Material
 from matcap.files.process import postponed
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
-from matcap.photo.orient import quarter_turn, standing
-from matcap.photo.photo import Photo
+from matcap.photo.photo import Photo, quarter_turn, standing
 
 
 @dataclass(frozen=True)

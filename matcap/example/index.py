@@ -29,7 +29,6 @@ from matcap.example.candidates import (
     planes_of,
     project,
 )
-from matcap.example.evenness import trend_penalty
 from matcap.example.exemplar import Exemplar, pack, unpack
 from matcap.example.grids import (
     COST_BITS,
@@ -43,7 +42,7 @@ from matcap.example.grids import (
     step_of,
 )
 from matcap.example.lattice import GRID, Frequency, PhasedLattice, Phases, measure_lattice
-from matcap.example.placement import RULE, Placement
+from matcap.example.placement import RULE, Placement, trend_penalty
 
 # Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
 #
@@ -178,7 +177,7 @@ def build_index(
         straight: whether they are exact, of a lattice without a bend.
         part: that fields may show, of at least 14 texels a side; None for all.
         one_light: whether relief is known along one direction at each place, so that what departs
-            by a trend has a penalty (evenness.py); else patches are placed by rule 1.
+            by a trend has a penalty (trend_penalty); else patches are placed by rule 1.
     """
     shown = part or Frame.of(*exemplar.size)
     planes = planes_of(exemplar)

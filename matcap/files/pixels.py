@@ -17,14 +17,27 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.color import LINEAR, LUMINANCE, largest_code, linear, rec709_from, srgb_picture
-from matcap.files.exr import MAGIC, forget_error, radiance_header, stated_primaries, write_exr
-from matcap.files.jpeg import NO_END, unsupported_jpeg, with_end
-from matcap.files.layers import meant_layer
+from matcap.files.containers import (
+    NO_END,
+    NO_RGB,
+    TiffPicture,
+    is_tiff,
+    meant_picture,
+    unsupported_jpeg,
+    with_end,
+)
+from matcap.files.exr import (
+    MAGIC,
+    forget_error,
+    meant_layer,
+    radiance_header,
+    stated_primaries,
+    write_exr,
+)
 from matcap.files.names import check_suffix, note
 from matcap.files.output import Output
 from matcap.files.process import quiet_decoders
 from matcap.files.stated_color import lineariser_of, space_of_name, stated_color
-from matcap.files.tiff import NO_RGB, TiffPicture, is_tiff, meant_picture
 
 # Writes PNG files of 8 and 16 bits; values are rounded, not truncated.
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files import bmff
+from matcap.files import containers
 from matcap.files.color import (
     ADOBE_RGB,
     LINEAR,
@@ -293,7 +293,7 @@ def _stated(path: Path, head: bytes, page: int) -> StatedColor:
     if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
         return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
     if head[4:8] == b"ftyp":
-        return of_properties(bmff.primary_properties(path))
+        return of_properties(containers.primary_properties(path))
     return StatedColor()
 
 
@@ -340,7 +340,7 @@ def of_png(chunks: dict[bytes, bytes]) -> StatedColor:
         return StatedColor(notes=(assumed(SRGB, "gAMA and cHRM"),))
 
 
-def of_properties(properties: bmff.Properties) -> StatedColor:
+def of_properties(properties: containers.Properties) -> StatedColor:
     """The statement of an ISO base media file on its primary picture."""
     if properties.profile is not None:
         return StatedColor(properties.profile)

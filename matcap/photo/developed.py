@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files import bmff
+from matcap.files import containers
 from matcap.files.color import Linearise, largest_code
-from matcap.files.jpeg import NO_END, unsupported_jpeg, with_end
+from matcap.files.containers import NO_END, unsupported_jpeg, with_end
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, FocalPlane, read_exif
@@ -264,7 +264,7 @@ def read_webp_or_avif(path: Path, form: str, long_side: int | None) -> tuple[Dec
     notes = (
         () if getattr(image, "n_frames", 1) == 1 else ("The first of several pictures is read.",)
     )
-    properties = bmff.Properties() if form == "WebP" else _properties(path)
+    properties = containers.Properties() if form == "WebP" else _properties(path)
     if properties.bits > 8:
         notes = (*notes, f"The picture's {properties.bits} bits are read as 8.")
     picture = _coded(pixels, stated_color(path), (*notes, *_unread_map(path)))
@@ -314,7 +314,9 @@ def read_heic(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
     return decode(coded, long_side, str(path), 1), with_camera_matrix(exif, _properties(path), size)
 
 
-def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int, int]) -> Exif:
+def with_camera_matrix(
+    exif: Exif, properties: containers.Properties, size: tuple[int, int]
+) -> Exif:
     """Exif with the focal length of a file's camera matrix, if any; `size` is as decoded."""
     if properties.focal_length is None:
         return exif
@@ -322,12 +324,12 @@ def with_camera_matrix(exif: Exif, properties: bmff.Properties, size: tuple[int,
     return replace(exif, focal_plane=FocalPlane(pixels, max(size)), measured=True)
 
 
-def _properties(path: Path) -> bmff.Properties:
+def _properties(path: Path) -> containers.Properties:
     """Properties of the container; defaults if its boxes are damaged."""
     try:
-        return bmff.primary_properties(path)
+        return containers.primary_properties(path)
     except Exception:  # struct.error, KeyError, IndexError and others on damaged boxes
-        return bmff.Properties()
+        return containers.Properties()
 
 
 def _coded(pixels: NDArray[Any], color: StatedColor, notes: tuple[str, ...]) -> Coded:

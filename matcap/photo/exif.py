@@ -10,7 +10,7 @@ from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.jpeg import jpeg_segments
+from matcap.files.containers import jpeg_segments
 from matcap.files.stated_color import png_chunks, riff_chunks
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
@@ -20,7 +20,7 @@ from matcap.files.stated_color import png_chunks, riff_chunks
 # | JPEG, TIFF, RAW | Exif; XMP if Exif has no orientation or focal length |
 # | PNG | eXIf, XMP |
 # | WebP | EXIF and XMP |
-# | HEIC, AVIF | Exif from the decoder; camera matrix (files/bmff.py) |
+# | HEIC, AVIF | Exif from the decoder; camera matrix (files/containers.py) |
 
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).

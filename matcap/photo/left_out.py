@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.files.pixels import read_mask
 from matcap.files.settings import Rectangle
-from matcap.photo.orient import quarter_turn
-from matcap.photo.photo import SHORTEST_SIDE, Photo
+from matcap.photo.photo import SHORTEST_SIDE, Photo, quarter_turn
 
 # Area downsampling of linear pixels, strip by strip, without a full-size float copy.
 

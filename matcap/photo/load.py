@@ -28,7 +28,6 @@ from matcap.photo.lossless import (
     read_float_dng,
     read_png_or_tiff,
 )
-from matcap.photo.orient import quarter_turn
 from matcap.photo.photo import (
     SHORTEST_SIDE,
     Decoded,
@@ -37,6 +36,7 @@ from matcap.photo.photo import (
     check_size,
     decoding,
     missing_extra,
+    quarter_turn,
     unreadable,
 )
 from matcap.photo.raw import read_raw

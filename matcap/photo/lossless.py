@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.color import LINEAR, ColorSpace
+from matcap.files.containers import GREYS, TiffPicture, meant_picture
 from matcap.files.exr import forget_error
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.files.stated_color import StatedColor, stated_color
-from matcap.files.tiff import GREYS, TiffPicture, meant_picture
 from matcap.photo.developed import Coded, decode, three_channels
 from matcap.photo.dng import Corrections, raw_page
 from matcap.photo.exif import Exif, read_exif

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,3 +310,16 @@ class Photo:
         if self.stored_clipped_share is not None:
             return self.stored_clipped_share
         return float(self.clipped.mean())
+
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def quarter_turn(picture: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Rotate (H, W, ...) by 90 degrees counterclockwise: the right side becomes the top."""
+    return np.rot90(picture)
+
+
+def standing(picture: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The inverse of quarter_turn, contiguous."""
+    return np.ascontiguousarray(np.rot90(picture, -1))

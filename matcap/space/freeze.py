@@ -20,10 +20,10 @@ from matcap.space.decoder import (
     Decoder,
     DecoderConfig,
     Moments,
+    convolve,
     descend,
     upsample,
 )
-from matcap.space.layers import convolve
 from matcap.space.random_field import Patch, RandomField, random_field
 from matcap.statistics.lattice import Wave
 

@@ -327,9 +327,8 @@ def _check(output: Any, done: bool) -> None:  # noqa: ANN401
 # NAME_preview.png: about a megapixel of a map set or texture set, lit from the top.
 #
 # One pixel a texel, of the middle; where the field repeats, of where its copies meet, with the
-# seam's place marked outside the picture. Workers light the parts as they compute them
-# (workers.py),
-# so that nothing is read back; a resumed run computes the parts that the preview shows again.
+# seam's place marked outside the picture. Workers light the parts as they compute them, so that
+# nothing is read back; a resumed run computes the parts that the preview shows again.
 
 
 _PIXELS, _SIDE = 1 << 20, 1024  # of the picture; one side is longer if the other is shorter

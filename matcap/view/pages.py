@@ -286,7 +286,7 @@ def browser_picture(
         MatcapError: the file is not a photograph that matcap reads.
     """
     from matcap.photo.load import load_photo
-    from matcap.photo.orient import standing
+    from matcap.photo.photo import standing
 
     photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
     photo = photo if tone is None else photo.linearised(tone)

@@ -8,10 +8,15 @@ import pytest
 from exemplars import an_example, exemplar
 
 from matcap.example.candidates import planes_of
-from matcap.example.evenness import trend_penalty
 from matcap.example.example import Example
 from matcap.example.grids import Frame
-from matcap.example.placement import PatchNumbers, Placement, reuse_cost, spread_patches
+from matcap.example.placement import (
+    PatchNumbers,
+    Placement,
+    reuse_cost,
+    spread_patches,
+    trend_penalty,
+)
 from matcap.field.plane import Rectangle
 
 SIDES = 512, 384

@@ -20,6 +20,8 @@ from safetensors.torch import save_file
 from matcap.batch.samples import BatchSettings
 from matcap.capture.settings import CaptureSettings, InspectSettings, OutputSettings
 from matcap.cli.main import main
+from matcap.cli.relight import RelightOptions
+from matcap.cli.view import ViewOptions
 from matcap.errors import MatcapError, UsageError
 from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import BlendOptions, DrawOptions, ReadOptions, SampleOptions
@@ -44,9 +46,7 @@ from matcap.files.settings import (
     size,
 )
 from matcap.files.tensors import write_tensors
-from matcap.relight.options import RelightOptions
 from matcap.synth.request import SynthArea, SynthRequest, Work
-from matcap.view.options import ViewOptions
 
 # Settings are told once, and mean the same from Python, from a file and from the command line.
 

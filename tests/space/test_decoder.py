@@ -16,9 +16,8 @@ from matcap.example.interpolate import interpolated
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.space.between import blend, blend_waves
-from matcap.space.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig
+from matcap.space.decoder import CODE_SIZE, DEPTH, AdaIN, Decoder, DecoderConfig, wrap
 from matcap.space.freeze import freeze
-from matcap.space.layers import wrap
 from matcap.space.random_field import (
     _PHASES,
     CELL_CHANNELS,

@@ -23,11 +23,10 @@ from matcap.field.device import find_device, repeatable
 from matcap.field.field import Field, read_source
 from matcap.field.plane import Grid, Rectangle
 from matcap.space.tuned import DecoderSource
-from matcap.synth import workers
+from matcap.synth import stream
 from matcap.synth.plan import OpenedField
 from matcap.synth.request import SynthRequest, Work
-from matcap.synth.stream import synthesise, write_field
-from matcap.synth.workers import rendered
+from matcap.synth.stream import rendered, synthesise, write_field
 
 # Rectangles of any size to files: whatever the way there, the same bytes.
 
@@ -113,7 +112,7 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(material, tmp_path, monkeypat
     assert run.wait() == -signal.SIGKILL
     assert [file.name for file in (tmp_path / "cut").iterdir()] == [".m.matcap-part"]
     lines, computed = [], []
-    monkeypatch.setattr(workers, "rendered", lambda *a: computed.append(a) or rendered(*a))
+    monkeypatch.setattr(stream, "rendered", lambda *a: computed.append(a) or rendered(*a))
     again = Work(resume=True, progress=lines.append)
     write_field(*request(material, area), tmp_path / "cut", again)
     assert 0 < len(computed) < len(lines)

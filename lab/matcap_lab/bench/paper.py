@@ -29,8 +29,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet, with_colour
-from matcap.capture.method import Method
 from matcap.capture.pipeline import capture_photo, read_photograph
+from matcap.capture.rectified import Method
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
 from matcap.field.device import computes_bfloat16

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
-from matcap.brdf.integrate import integrate_periodic
-from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet
+from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet, integrate_periodic
 from matcap.capture.exemplar.network.network import network_inputs
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors

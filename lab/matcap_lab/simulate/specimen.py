@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.integrate import integrate_periodic
-from matcap.brdf.maps import HEIGHT, SURFACE, MapSet
+from matcap.brdf.maps import HEIGHT, SURFACE, MapSet, integrate_periodic
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.relight.foreign.read import metallic_of, read_channels

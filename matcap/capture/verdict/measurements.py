@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.capture.exemplar.observation import code_step
-from matcap.capture.method import FEATURES, WINDOW
+from matcap.capture.rectified import FEATURES, WINDOW
 from matcap.capture.verdict.causes import (
     UNSEEN,
     ExemplarMeasurements,

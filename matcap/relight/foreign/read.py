@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from matcap.brdf.edited import check_heights
-from matcap.brdf.integrate import integrate_periodic
+from matcap.brdf.maps import integrate_periodic
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.files.names import TOKEN, tile_names
@@ -486,7 +486,7 @@ def _read(path: Path, grid: tuple[int, int] | None, wanted: tuple[str, ...]) -> 
 # - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic. -
 # Specular workflow (specular and gloss without metallic): the specular map is F0. - Height maps
 # have no unit: they are scaled to fit the normal map's slopes by least squares. Without a height
-# map the normal map is integrated (brdf/integrate.py). - A set is two plane units wide, unless it
+# map the normal map is integrated (brdf/maps.py). - A set is two plane units wide, unless it
 # is matcap's export, whose sidecar states the size.
 #
 # names.py recognises files, read.py reads them.

@@ -1,0 +1,304 @@
+"""Parts of HEIC, AVIF, JPEG and TIFF files that image decoders do not return.
+
+Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, and the camera's
+intrinsic matrix, by the boxes meta, pitm, iprp, ipco and ipma; of JPEG the segments and coding
+modes; of TIFF the picture that is meant.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
+
+
+@dataclass(frozen=True)
+class Properties:
+    """Properties of the primary picture."""
+
+    profile: bytes | None = None
+    """ICC profile, or None."""
+    code_points: tuple[int, int] | None = None
+    """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
+    focal_length: float | None = None
+    """From the camera matrix (cmin), in widths of the stored picture, or None."""
+    bits: int = 8
+    """Bits per channel (pixi), 8 if absent."""
+    sideways: bool = False
+    """Whether decoding rotates the stored picture by 90 or 270 degrees (irot)."""
+
+
+def primary_properties(path: Path) -> Properties:
+    """Read the properties of a file's primary picture.
+
+    Raises:
+        ValueError, struct.error, IndexError: the file is damaged.
+        OSError: the file cannot be read.
+    """
+    meta = _meta(path)[4:]  # a full box: version and flags first
+    boxes = dict(_boxes(meta))
+    primary = boxes[b"pitm"]
+    wide = primary[0] > 0
+    (item,) = struct.unpack_from(">I" if wide else ">H", primary, 4)
+    groups = list(_boxes(boxes[b"iprp"]))
+    shared = list(_boxes(dict(groups)[b"ipco"]))
+    properties = Properties()
+    for name, data in groups:
+        if name != b"ipma":
+            continue
+        for index in _of_item(data, item):
+            if 0 < index <= len(shared):
+                properties = _with(properties, *shared[index - 1])
+    return properties
+
+
+def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
+    if name == b"colr" and data[:4] == b"nclx":
+        return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
+    if name == b"colr" and data[:4] in (b"prof", b"rICC"):
+        return replace(properties, profile=data[4:])
+    if name == b"irot":
+        return replace(properties, sideways=bool(data[0] & 1))
+    if name == b"pixi" and len(data) > 5:
+        return replace(properties, bits=max(data[5 : 5 + data[4]]))
+    if name == b"cmin":
+        # Flags: bits 8 to 12 are log2 of the denominator (ISO/IEC 23008-12, 6.5.43).
+        flags = int.from_bytes(data[1:4], "big")
+        (focal_length,) = struct.unpack_from(">i", data, 4)
+        widths = focal_length / (1 << (flags >> 8 & 31))
+        return replace(properties, focal_length=widths if widths > 0.0 else None)
+    return properties
+
+
+def _meta(path: Path) -> bytes:
+    with path.open("rb") as file:
+        while len(head := file.read(8)) == 8:
+            size, name = struct.unpack(">I4s", head)
+            begun = 8
+            if size == 1:
+                (size,) = struct.unpack(">Q", file.read(8))
+                begun = 16
+            if name == b"meta" and begun <= size <= _MOST:
+                return file.read(size - begun)
+            if size < begun:
+                break
+            file.seek(size - begun, 1)
+    raise ValueError("no meta box")
+
+
+def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    at = 0
+    while at + 8 <= len(data):
+        size, name = struct.unpack_from(">I4s", data, at)
+        begun = 8
+        if size == 1:
+            (size,) = struct.unpack_from(">Q", data, at + 8)
+            begun = 16
+        elif size == 0:
+            size = len(data) - at
+        if size < begun:
+            raise ValueError("a box shorter than its head")
+        yield name, data[at + begun : at + size]
+        at += size
+
+
+def _of_item(data: bytes, item: int) -> Iterator[int]:
+    """Indices, from 1, of the properties of an item in an ipma box."""
+    version, wide = data[0], data[3] & 1
+    (count,) = struct.unpack_from(">I", data, 4)
+    at = 8
+    for _ in range(count):
+        (each,) = struct.unpack_from(">H" if version < 1 else ">I", data, at)
+        at += 2 if version < 1 else 4
+        links = data[at]
+        at += 1
+        for _ in range(links):
+            (index,) = struct.unpack_from(">H" if wide else ">B", data, at)
+            at += 2 if wide else 1
+            if each == item:
+                yield index & (0x7FFF if wide else 0x7F)
+
+
+# Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
+
+
+_LOSSLESS_OR_HIERARCHICAL = (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF)
+
+
+def unsupported_jpeg(path: Path) -> str:
+    """The coding mode, such as "JPEG of 12 bits", if it is not supported; else ""."""
+    with path.open("rb") as file:
+        file.seek(2)
+        while len(marker := file.read(2)) == 2:
+            if marker[0] != 0xFF or marker[1] == 0xDA:
+                return ""
+            if marker[1] == 0xFF:  # a fill byte
+                file.seek(-1, 1)
+                continue
+            if marker[1] in range(0xC0, 0xD0) and marker[1] not in (0xC4, 0xC8, 0xCC):
+                bits = file.read(3)[-1:]
+                if marker[1] in _LOSSLESS_OR_HIERARCHICAL:
+                    return "lossless or hierarchical JPEG"
+                return f"JPEG of {bits[0]} bits" if bits and bits[0] != 8 else ""
+            length = int.from_bytes(file.read(2), "big")
+            file.seek(max(length - 2, 0), 1)
+    return ""
+
+
+# JPEGs that lack their end marker alone, as copies and network cameras leave them.
+
+NO_END = "The JPEG lacks its end marker; all of its picture is there."
+_END = b"\xff\xd9"
+# Appended in turn: where a picture lacks codes, they decode to different ones.
+_FILLERS = (b"", b"\x5a" * 64, b"\xa5\x13" * 64)
+
+
+def with_end(path: Path) -> bytes | None:
+    """A JPEG's bytes with an end marker, if that is all it lacks; else None."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    data = path.read_bytes().rstrip(b"\0\xff")
+    if _END in data[data.rfind(b"\xff\xda") :]:
+        return None
+    first = None
+    for filler in _FILLERS:
+        try:
+            picture = JpegImageFile(io.BytesIO(data + filler + _END))
+            picture.load()
+        except (OSError, SyntaxError, ValueError):
+            return None
+        codes = picture.tobytes()
+        if first is not None and codes != first:
+            return None
+        first = codes
+    return data + _END
+
+
+# Segments, wherever metadata stand in them.
+
+
+def jpeg_segments(path: Path) -> Iterator[tuple[int, bytes]]:
+    """(marker, data) of a JPEG's segments before its scan, up to where the file is damaged."""
+    with path.open("rb") as file:
+        file.seek(2)
+        while len(head := file.read(2)) == 2 and head[0] == 0xFF:
+            if head[1] == 0xFF:  # a fill byte
+                file.seek(-1, 1)
+                continue
+            length = int.from_bytes(file.read(2), "big")
+            if head[1] in (0xD9, 0xDA) or length < 2:
+                return
+            yield head[1], file.read(length - 2)
+
+
+# TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
+WHITE_IS_ZERO, GREYS, _MASK = 0, (0, 1), 4
+NO_RGB = {5: "CMYK", 8: "CIELAB", 9: "ICCLAB"}
+_REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
+_MOST_PAGES = 64  # read at most; a damaged file may claim any number
+_FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: unsigned, signed, floating, undefined
+_JPEGS = (6, 7)  # compressions
+# Compressions that every OpenImageIO decodes; a failure with others means unsupported.
+_USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
+_ORIENTATION = 274  # a tag
+_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+@dataclass(frozen=True)
+class TiffPicture:
+    """The picture of a TIFF file that is read; the defaults are another format's only one."""
+
+    index: int = 0
+    """Index of its page."""
+    compression: str = ""
+    """Name of its compression."""
+    usual: bool = True
+    """Whether every OpenImageIO decodes that."""
+    orientation: int | None = None
+    """EXIF's, of the page itself, or None."""
+    photometric: int = 2
+    """PhotometricInterpretation; 2 is RGB."""
+    samples: int = 3
+    """Number of channels."""
+    refused: str = ""
+    """What it is, if that is not supported: "a TIFF of ...", or ""."""
+    notes: tuple[str, ...] = ()
+    """Notes on other pages."""
+
+    def as_meant(self, stored: NDArray[Any], alpha: int) -> NDArray[Any]:
+        """Rows (n, W, C) as OpenImageIO reads them, with stored white as the largest value.
+
+        Where WhiteIsZero, OpenImageIO inverts all channels of up to 8 bits, and none of others.
+
+        Args:
+            alpha: index of the channel of alpha, or negative.
+        """
+        if self.photometric != WHITE_IS_ZERO:
+            return stored
+        eight = stored.dtype == np.uint8
+        wrong = [c for c in range(stored.shape[-1]) if (c == alpha) == eight]
+        meant = stored.copy()
+        largest = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
+        meant[..., wrong] = stored.dtype.type(largest) - meant[..., wrong]
+        return meant
+
+
+def is_tiff(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is a TIFF."""
+    return head.startswith(_MAGIC)
+
+
+def meant_picture(path: Path) -> TiffPicture:
+    """The largest page that is neither a thumbnail nor a mask, the first of equals.
+
+    Raises:
+        Exception: of any kind where the file is damaged.
+    """
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        pages: list[Any] = list(islice(file.pages, _MOST_PAGES))
+        sizes = [page.imagewidth * page.imagelength for page in pages]
+        whole = [
+            index
+            for index, page in enumerate(pages)
+            if not int(page.subfiletype) & (_REDUCED | _IS_MASK) and int(page.photometric) != _MASK
+        ]
+        chosen = max(whole or range(len(pages)), key=lambda index: (sizes[index], -index))
+        page = pages[chosen]
+        inside = [sub for each in pages for sub in islice(each.pages or (), _MOST_PAGES)]
+        larger = [sub for sub in inside if sub.imagewidth * sub.imagelength > sizes[chosen]]
+        photometric, code = int(page.photometric), int(page.compression)
+        bits, form = int(page.bitspersample), int(page.sampleformat)
+        equal = sum(sizes[index] == sizes[chosen] for index in whole)
+        refused = ""
+        if form not in _FORMATS or (form == _FLOATING and bits not in (16, 32, 64)):
+            refused = f"a TIFF of {bits} bits in sample format {form}"
+        elif larger:
+            refused = "a TIFF whose picture is in a sub-directory behind a smaller one"
+        elif photometric in NO_RGB:
+            refused = f"a TIFF of {NO_RGB[photometric]} colours"
+        return TiffPicture(
+            chosen,
+            str(getattr(page.compression, "name", code)).upper(),
+            code in _USUAL and not (code in _JPEGS and bits != 8),
+            _orientation(page),
+            photometric,
+            int(page.samplesperpixel),
+            refused,
+            (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
+        )
+
+
+def _orientation(page: Any) -> int | None:  # noqa: ANN401
+    tag = page.tags.get(_ORIENTATION)
+    return int(tag.value) if tag is not None and tag.value in range(1, 9) else None
