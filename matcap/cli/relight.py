@@ -208,7 +208,7 @@ def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) ->
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     """Camera and flash of a material's photograph as a scene, or None."""
     from matcap.field.opened import open_photographed
-    from matcap.relight.camera import photographed_scene
+    from matcap.relight.photographed import photographed_scene
     from matcap.relight.scene import Film
 
     known = open_photographed(path)

@@ -9,11 +9,9 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from matcap.flash.geometry import FlashSetup, camera_in_plane, setup_rotation, to_upright, unproject
-from matcap.relight.scene import Camera, Film, PointLight, Scene, Surface, Vector
+from matcap.relight.scene import Camera, Film
 
 # Vectors as tuples of three arrays that broadcast against each other.
 #
@@ -210,51 +208,3 @@ def view_of(camera: Camera | None, film: Film, long_side: float) -> View:
     angle = math.radians(camera.fov / 2.0)
     reach = math.tan(angle) if camera.type == "perspective" else camera.scale
     return View(place, axes, reach, size, camera)
-
-
-# The scene of a photograph: its camera and flash, for a picture to compare with it.
-#
-# The same geometry as matcap.flash.light. FlashSetup's intensity includes the exposure, so
-# radiance 1 is the photograph's white.
-
-
-def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene:
-    """The scene with the photograph's camera and its flash as a point light.
-
-    Args:
-        film: of the picture, with the photograph's aspect ratio.
-        endless: extend the plane to all that the camera sees; else it is the maps' rectangle.
-    """
-    place, light = (_vector(to_upright(setup, one)) for one in camera_in_plane(setup))
-    # `turned`: the photograph is a portrait, so its up is the landscape's left.
-    above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
-    up = _vector(
-        to_upright(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64))
-    )
-    middle = _vector(to_upright(setup, torch.tensor([*setup.vignetting_centre, 0.0])))
-    camera = Camera(
-        "perspective",
-        place,
-        fov=setup.fov,
-        up=up,
-        vignetting=setup.vignetting,
-        vignetting_quartic=setup.vignetting_quartic,
-        vignetting_centre=(middle[0], middle[1]),
-    )
-    surface = Surface(size=_seen(setup, film) if endless else None)
-    return Scene(film, camera, surface, (PointLight(light, setup.intensity),))
-
-
-def _seen(setup: FlashSetup, film: Film) -> float:
-    """Side of a square around the origin that holds all that the picture shows of the plane."""
-    long = max(film.width, film.height)
-    x, y = film.width / long, film.height / long
-    if setup.turned:
-        x, y = y, x
-    corners = torch.tensor([[-x, x, -x, x], [y, y, -y, -y]], dtype=torch.float64)
-    return 2.0 * float(unproject(corners, setup)[:2].abs().max())
-
-
-def _vector(tensor: torch.Tensor) -> Vector:
-    x, y, z = tensor.tolist()
-    return x, y, z

@@ -34,7 +34,7 @@ from matcap.flash.alignment import TiltMeasurement
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup, Margins
 from matcap.flash.rectify import plane_of
-from matcap.relight.camera import photographed_scene
+from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import relight
 from matcap.relight.scene import Film
 from matcap.statistics.lattice import Lattice, Wave
