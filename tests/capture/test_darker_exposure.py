@@ -30,5 +30,5 @@ def test_the_brighter_the_highlight_the_darker_the_exposure():
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.5])
-def test_it_says_from_where(roughness):
+def test_the_advice_names_the_position(roughness):
     assert "from the same place" in _darker(fit(1.0, roughness), 1.0)

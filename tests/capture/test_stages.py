@@ -76,13 +76,13 @@ def test_a_time_limit_leaves_room_for_what_comes_after():
     assert CaptureClock(None, stages, limit=0.0).left_for("long") == 0.0
 
 
-def test_what_starting_took_is_taken_off_a_time_limit():
+def test_start_up_time_counts_towards_the_time_limit():
     stages = {"before": 0.2, "long": 0.6, "after": 0.2}
     whole, started = (CaptureClock(None, stages, 1000.0, spent) for spent in (0.0, 10.0))
     assert whole.left_for("long") - started.left_for("long") == pytest.approx(20.0, abs=1.0)
 
 
-def test_a_stage_without_a_share_is_a_bug():
+def test_a_stage_without_a_share_raises():
     with pytest.raises(KeyError), CaptureClock(None).stage("fine-tuning"):
         pass
 
@@ -129,7 +129,7 @@ def test_a_preset_is_its_effort_unless_steps_are_given(preset):
     assert fewer == replace(effort, steps=7)
 
 
-def test_a_limit_alone_may_take_all_the_steps_there_are():
+def test_a_time_limit_without_steps_takes_unlimited_steps():
     asked = {"preset": "draft", "generator": "decoder", "time_limit": 20.0}
     assert resolve(CaptureSettings(**asked)).steps == UNLIMITED.steps > PRESETS["standard"].steps
     assert resolve(CaptureSettings(**asked, steps=7)).steps == 7

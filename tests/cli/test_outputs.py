@@ -74,7 +74,7 @@ def test_existing_files_are_replaced_with_overwrite_alone(matcap, place, writer)
     assert (out / file).read_bytes() != MINE
 
 
-def test_a_picture_in_the_folder_of_its_maps_may_be_drawn_again(matcap, place):
+def test_a_picture_in_the_folder_of_its_maps_is_replaced(matcap, place):
     for _ in range(2):
         words = ("relight", "set", "--size", "32", "-o", "set/relit.exr", "--overwrite")
         assert matcap(*words, "-q").code == 0
