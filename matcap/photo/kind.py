@@ -6,6 +6,7 @@ from enum import Enum
 from pathlib import Path
 
 from matcap.errors import MatcapError
+from matcap.files.containers import Tag
 from matcap.files.exr import MAGIC
 from matcap.photo.dng import raw_page
 from matcap.photo.photo import READABLE, decoding
@@ -42,7 +43,6 @@ RAW_SUFFIXES = frozenset(
         *("srw", "x3f"),
     )
 )
-_DNG_VERSION = 50706  # a TIFF tag
 _HEAD = 64  # first bytes that are read
 
 
@@ -105,7 +105,7 @@ def _of_tiff(path: Path) -> FileKind:
     import tifffile
 
     with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
-        if _DNG_VERSION in file.pages.first.tags:
+        if Tag.DNGVersion in file.pages.first.tags:
             return FileKind.DNG
         if path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None:
             return FileKind.RAW

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.files.containers import Tag
 from matcap.files.pixels import upright
 from matcap.files.process import quiet_decoders
 from matcap.photo.developed import read_heic, read_jpeg, read_webp_or_avif
@@ -40,7 +41,7 @@ from matcap.photo.photo import (
     unreadable,
 )
 from matcap.photo.raw import read_raw
-from matcap.photo.raw_samples import BLACK, DONE, WHITE, normalised
+from matcap.photo.raw_samples import DONE, normalised
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
@@ -52,13 +53,15 @@ from matcap.photo.kind import FileKind, file_kind
 # LibRaw would misread it (raw_samples.py), with all other tags unchanged.
 
 
-_WIDTH, _LENGTH, _BITS, _COMPRESSION, _OFFSETS, _ROWS, _COUNTS = 256, 257, 258, 259, 273, 278, 279
 # Black and white of normalised mosaics, so that noise below black is kept.
 _PEDESTAL, _LARGEST = 4096, 65535
 _AS_STORED = Corrections()
-# Predictor, tiles, JPEG tables: tags of the compression, which are dropped.
-_OF_COMPRESSION = (317, 322, 323, 324, 325, 347)
-_SUB_IFDS, _NONE = 330, 1
+# Tags of the compression, which are dropped.
+_OF_COMPRESSION = (
+    *(Tag.Predictor, Tag.TileWidth, Tag.TileLength, Tag.TileOffsets, Tag.TileByteCounts),
+    Tag.JPEGTables,
+)
+_NONE = 1  # a compression
 _SHORT, _LONG = 3, 4  # types of TIFF
 _ENTRY = 12  # bytes
 
@@ -154,23 +157,23 @@ def _patched(
     patched += struct.pack(f"{order}4H", 16, 16, 16, 0)
     at = len(patched)
     changed = {
-        _BITS: (_SHORT, planes, 16 if planes == 1 else bits_at),
-        _COMPRESSION: (_SHORT, 1, _NONE),
-        _ROWS: (_LONG, 1, samples.shape[0]),
-        _COUNTS: (_LONG, 1, 2 * samples.size),
-        _OFFSETS: (_LONG, 1, 0),
+        Tag.BitsPerSample: (_SHORT, planes, 16 if planes == 1 else bits_at),
+        Tag.Compression: (_SHORT, 1, _NONE),
+        Tag.RowsPerStrip: (_LONG, 1, samples.shape[0]),
+        Tag.StripByteCounts: (_LONG, 1, 2 * samples.size),
+        Tag.StripOffsets: (_LONG, 1, 0),
     }
     if levels is not None:
         changed |= {
-            _WIDTH: (_LONG, 1, samples.shape[1]),
-            _LENGTH: (_LONG, 1, samples.shape[0]),
-            BLACK: (_LONG, 1, levels[0]),
-            WHITE: (_LONG, 1, levels[1]),
+            Tag.ImageWidth: (_LONG, 1, samples.shape[1]),
+            Tag.ImageLength: (_LONG, 1, samples.shape[0]),
+            Tag.BlackLevel: (_LONG, 1, levels[0]),
+            Tag.WhiteLevel: (_LONG, 1, levels[1]),
         }
-    elif WHITE not in entries:
-        changed[WHITE] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
+    elif Tag.WhiteLevel not in entries:
+        changed[Tag.WhiteLevel] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
     size = 2 + _ENTRY * len(entries | changed) + 4
-    changed[_OFFSETS] = (_LONG, 1, at + size)
+    changed[Tag.StripOffsets] = (_LONG, 1, at + size)
     for code, (kind, count, value) in changed.items():
         form = "HH" if kind == _SHORT and count == 1 else "I"
         stored = struct.pack(f"{order}{form}", *((value, 0) if form == "HH" else (value,)))
@@ -191,8 +194,8 @@ def _pointer(data: bytes, file: Any, page: TiffPage, order: str) -> int:  # noqa
     places = [4]  # of the first page
     for each in file.pages:
         places.append(each.offset + 2 + _ENTRY * len(each.tags))
-        if _SUB_IFDS in each.tags:
-            tag = each.tags[_SUB_IFDS]
+        if Tag.SubIFDs in each.tags:
+            tag = each.tags[Tag.SubIFDs]
             places += [tag.valueoffset + 4 * index for index in range(tag.count)]
     for place in places:
         if data[place : place + 4] == struct.pack(f"{order}I", page.offset):
