@@ -122,7 +122,7 @@ def test_panels_are_area_averages(monkeypatch):
 
 TILTED = tuple(
     (name, (0.2 * math.cos(angle), 0.2 * math.sin(angle)))
-    for angle, name in enumerate(("leather", "granite", "rust", "plaster", "cloth", "tile"))
+    for angle, name in enumerate(("leather", "granite", "rust"))
 )
 SAID = TiltMeasurement(math.radians(9.0), math.radians(-6.0), 1e-4, 1e-4)
 
@@ -233,11 +233,10 @@ def captures(photographs):
     return {name: capture_file(path, settings) for name, path in photographs.items()}
 
 
-@pytest.mark.parametrize("drawing", [True, False])
-def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, drawing, tmp_path):
+def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_path):
     """Across blocks of the grid, where it repeats too, and read from its file."""
     settings = CaptureSettings(
-        generator="decoder", preset="draft", detail=192, steps=1, drawing=drawing, aligned=True
+        generator="decoder", preset="draft", detail=192, steps=1, aligned=True
     )
     done = {name: capture_file(path, settings) for name, path in photographs.items()}
     lying, standing = done["lying"], done["standing"]

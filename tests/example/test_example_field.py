@@ -10,6 +10,7 @@ import plain_loops as plain
 import pytest
 import torch
 from exemplars import PERIODS, a_coloured_example, an_example, blobs, exemplar, ordered
+from materials import a_material
 from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 
 from matcap.errors import UsageError
@@ -21,6 +22,8 @@ from matcap.example.grids import COST_BITS, Frame
 from matcap.example.index import PENALTY_BITS, Level, build_index, prepare
 from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle
+from matcap.synth.plan import open_field
+from matcap.synth.request import SynthRequest
 
 # The field by example is one function of texel and seed, made of the exemplar's own pieces.
 
@@ -464,3 +467,12 @@ def test_parts_equal_the_whole_with_small_patches():
     whole = example.maps(6, Rectangle(-90, -70, 300, 200), None)
     part = example.maps(6, Rectangle(-11, 13, 71, 40), None)
     assert np.array_equal(part, whole[:, 83:123, 79:150])
+
+
+def test_a_field_by_example_refuses_cuda_and_accepts_the_cpu(tmp_path):
+    path = tmp_path / "blobs.matcap"
+    a_material("blobs", example=an_example()).save(path)
+    asked = SynthRequest(path, Rectangle(0, 0, 8, 8), device="cpu")
+    open_field(asked)
+    with pytest.raises(UsageError, match="--device: only the decoder"):
+        open_field(replace(asked, device="cuda"))

@@ -5,6 +5,7 @@ import random
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -22,6 +23,7 @@ from matcap.field.material import Material
 from matcap.field.opened import open_tile
 from matcap.field.options import ReadOptions
 from matcap.field.plane import Rectangle
+from matcap.field.source import one_thread, single_threaded
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.freeze import Drawing, reference_field
 from matcap.space.random_field import Patch, noise_field, wave_field
@@ -260,3 +262,29 @@ def test_a_folder_with_no_or_several_materials_is_refused(tmp_path, source_mater
         (tmp_path / name).touch()
     with pytest.raises(MatcapError, match=r"2 materials in this folder \(a.matcap, b.matcap\)"):
         open_tile(tmp_path)
+
+
+# Threads on one core each, beside a process that uses more.
+
+
+def threads_after_an_operator() -> int:
+    torch.rand(1 << 16) * 2
+    return torch.get_num_threads()
+
+
+@pytest.mark.usefixtures("two_threads")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_thread_computes_on_one_core_and_the_caller_on_its_own_number(workers):
+    with single_threaded(workers) as pool:
+        found = [pool.submit(threads_after_an_operator) for _ in range(8)]
+        assert {one.result() for one in found} == {1}
+        assert threads_after_an_operator() == 2
+    assert threads_after_an_operator() == 2
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_one_thread_is_for_its_context_alone_and_restores_the_number_after_an_error():
+    with suppress(ValueError), one_thread():
+        assert torch.get_num_threads() == 1
+        raise ValueError
+    assert torch.get_num_threads() == 2

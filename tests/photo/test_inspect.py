@@ -19,11 +19,11 @@ from simulated.materials import piece
 from simulated.photographs import PhoneCamera, as_photo, take
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.inspection import photograph_quality
+from matcap.capture.inspection import _darker, photograph_quality
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_decode
-from matcap.flash.coarse.fit import fit_coarse, rescale_to_flash
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.calibrate import PATCHES, calibrated, card_sentence, fit_patches, read_card
 from matcap.photo.checks import Rating
@@ -366,3 +366,31 @@ def test_a_photograph_without_a_card_is_refused(tmp_path):
     write_jpeg(tmp_path / "card.jpg", shot, 1)
     with pytest.raises(MatcapError, match="no card is seen"):
         read_card(tmp_path / "card.jpg")
+
+
+# Advice for a clipped highlight: how many stops darker another exposure is to be.
+
+
+def fit(intensity: float, roughness: float = 0.2) -> CoarseFit:
+    setup = FlashSetup(fov=66.0).with_intensity((intensity,) * 3)
+    return CoarseFit((0.2, 0.2, 0.2), 0.04, roughness, setup, residual=0.1)
+
+
+def stops(advice: str) -> int:
+    return int(advice.split(" stops")[0].rsplit(" ", 1)[1])
+
+
+def test_the_brighter_the_highlight_the_darker_the_exposure():
+    advised = [stops(_darker(fit(intensity), 1.0)) for intensity in (0.01, 0.3, 1.0, 4.0, 1000.0)]
+    assert (
+        advised == sorted(advised)
+        and advised[0] == 2
+        and advised[-1] == 6
+        and len(set(advised)) >= 3
+    )
+    assert stops(_darker(fit(4.0), 4.0)) == stops(_darker(fit(1.0), 1.0))
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5])
+def test_the_advice_names_the_position(roughness):
+    assert "from the same place" in _darker(fit(1.0, roughness), 1.0)
