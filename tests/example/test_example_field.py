@@ -15,10 +15,19 @@ from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 
 from matcap.errors import UsageError
 from matcap.example.blend import BAND_LEVELS, BANDS, ExemplarBands, Nodes, Votes, bands_of, blended
-from matcap.example.candidates import DIMENSIONS, LARGEST, LIMIT, PLANES, TAPS, Basis, project
+from matcap.example.candidates import (
+    COST_BITS,
+    DIMENSIONS,
+    LARGEST,
+    LIMIT,
+    PLANES,
+    TAPS,
+    Basis,
+    Frame,
+    project,
+)
 from matcap.example.coordinates import coordinates, correct
 from matcap.example.example import Example, coarsened
-from matcap.example.grids import COST_BITS, Frame
 from matcap.example.index import PENALTY_BITS, Level, build_index, prepare
 from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle

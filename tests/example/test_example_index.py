@@ -14,6 +14,7 @@ from matcap.capture.exemplar.estimate import indexed
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.example.candidates import (
+    PatchSizes,
     choose_basis,
     choose_scale,
     features_of,
@@ -25,7 +26,6 @@ from matcap.example.coordinates import correct
 from matcap.example.example import Example, summary
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.grids import PatchSizes
 from matcap.example.index import prepare
 from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
 from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety

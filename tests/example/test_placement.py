@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from exemplars import an_example, exemplar
 
-from matcap.example.candidates import planes_of
+from matcap.example.candidates import Frame, planes_of
 from matcap.example.example import Example
-from matcap.example.grids import Frame
 from matcap.example.placement import (
     PatchNumbers,
     Placement,

@@ -15,9 +15,8 @@ from relight_samples import bumpy, flat
 from matcap.brdf import cook_torrance as reference
 from matcap.brdf.maps import MapSet
 from matcap.relight.camera import dot, vec
-from matcap.relight.effects import multiscatter
+from matcap.relight.effects import DEFAULT_TOLERANCE, multiscatter
 from matcap.relight.effects import relief as parallax
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.environment_map import albedo
 from matcap.relight.relief import Horizons, Relief
 from matcap.relight.render import Renderer, relight

@@ -22,7 +22,7 @@ from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.light import render_flash, render_rectified
 from matcap.relight.camera import photographed_scene
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
     NAMED_LIGHTS,

@@ -20,9 +20,8 @@ from matcap.flash.geometry import plane_points
 from matcap.flash.light import shade
 from matcap.relight import render
 from matcap.relight import render as planning
-from matcap.relight.effects import area
+from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, area
 from matcap.relight.effects import relief as parallax
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.effects.entries import Effect
 from matcap.relight.plan import TILE, Budget, Tally
 from matcap.relight.relief import Relief

@@ -19,8 +19,7 @@ import torch
 
 from matcap.brdf.folder import MapSetInfo, read_mapset
 from matcap.errors import MatcapError, UsageError
-from matcap.field.device import find_device, repeatable
-from matcap.field.field import Field, read_source
+from matcap.field.field import Field, find_device, read_source, repeatable
 from matcap.field.plane import Grid, Rectangle
 from matcap.space.tuned import DecoderSource
 from matcap.synth import stream
