@@ -12,7 +12,6 @@ from report_schema import check_report
 
 from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import (
-    DECODER_STAGES,
     DRAWING_STAGES,
     EXEMPLAR_STAGES,
     PRESETS,
@@ -36,7 +35,6 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
     [
         ("example", EXEMPLAR_STAGES, None),
         ("decoder", DRAWING_STAGES, "fine-tuning"),
-        ("decoder", DECODER_STAGES, "fine-tuning"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
@@ -45,8 +43,7 @@ def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator,
     lines = []
     settings = CaptureSettings(detail=160)
     if generator == "decoder":
-        drawing = stages is DRAWING_STAGES
-        settings = replace(settings, steps=2, generator=generator, drawing=drawing)
+        settings = replace(settings, steps=2, generator=generator)
     result = capture_into(
         tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), lines.append
     )
