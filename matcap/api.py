@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import MAKER_VERSION as __version__
 from matcap.files.names import shown
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
     import numpy as np

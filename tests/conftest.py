@@ -5,28 +5,22 @@ import os
 import pytest
 from hypothesis import HealthCheck, settings
 
+# Of every library and process, before any is loaded: threads of small tests wait for each other,
+# and for the other processes of pytest-xdist.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # How fast a busy machine makes examples up is no property of the code under test.
 settings.register_profile("matcap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("matcap")
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    """Tests compute little at a time: threads wait for each other, and for what runs beside."""
-    yield from _threads(1)
-
-
 @pytest.fixture
 def two_threads():
     """For tests of what threads do."""
-    yield from _threads(2)
-
-
-def _threads(count):
     import torch
 
     before = torch.get_num_threads()
-    torch.set_num_threads(count)
+    torch.set_num_threads(2)
     yield
     torch.set_num_threads(before)
 

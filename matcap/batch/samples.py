@@ -178,7 +178,7 @@ def _folders(source: Path, passed_over: set[Path]) -> Iterator[tuple[Path, list[
 
 def _pairs(files: Sequence[Path]) -> list[_Shot]:
     """The photographs among the files of a folder; a RAW supersedes the JPEGs of its shot."""
-    from matcap.photo.kind import RAW_SUFFIXES
+    from matcap.photo.load import RAW_SUFFIXES
 
     def kind(path: Path) -> str:
         return path.suffix.lower()

@@ -137,7 +137,7 @@ def largest_worker(settings: BatchSettings, photos: Sequence[Path]) -> int:
 def photo_pixels(path: Path) -> tuple[int, bool]:
     """Number of pixels by a file's header, and whether it is RAW; typical values if unreadable."""
     from matcap.files.process import quiet_decoders
-    from matcap.photo.kind import file_kind
+    from matcap.photo.load import file_kind
     from matcap.photo.photo import MOST_PIXELS
 
     try:

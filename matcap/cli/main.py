@@ -19,8 +19,7 @@ from typing import Annotated, TextIO
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli import batch, capture, doctor, export, inspect, relight, sample, synth, view
-from matcap.cli import sample as blend
+from matcap.cli import batch, capture, doctor, export, inspect, relight, synth, view
 from matcap.cli.options import PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
@@ -47,8 +46,8 @@ app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
 app.command("export")(export.export)
 app.command("view")(view.view)
-app.command("blend")(blend.blend)
-app.command("sample")(sample.sample)
+app.command("blend")(synth.blend)
+app.command("sample")(synth.sample)
 app.command("doctor")(doctor.doctor)
 for _command in app.registered_commands:
     _command.cls = PlainCommand if _command.cls is TyperCommand else _command.cls

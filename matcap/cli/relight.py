@@ -24,7 +24,7 @@ from matcap.cli.options import (
 from matcap.field.options import ReadOptions
 from matcap.files import settings as values
 from matcap.files.settings import CheckedSettings, setting
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.grids import Frame
+from matcap.example.candidates import Frame
 from matcap.example.index import Level, Lookup, two_phases
 from matcap.example.lattice import PhasedLattice, Phases, cells_of
 from matcap.example.library import address, hash_places, loops

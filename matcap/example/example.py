@@ -26,9 +26,9 @@ from matcap.example.blend import (
     seam_correlations,
     with_normals,
 )
+from matcap.example.candidates import Frame, PatchSizes, frame_of, level_count
 from matcap.example.coordinates import Places, coordinates, initial_places
 from matcap.example.exemplar import Exemplar, Floats
-from matcap.example.grids import Frame, PatchSizes, frame_of, level_count
 from matcap.example.index import Index, Lookup, build_index, kept_lattice, prepare
 from matcap.example.lattice import GRID, Frequency
 from matcap.example.repeat import BLOCKS, RepeatedSource

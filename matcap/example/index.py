@@ -15,32 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.candidates import (
+    COST_BITS,
     DIMENSIONS,
     PLANES,
     TAPS,
     Appearance,
     Basis,
     Candidates,
+    Frame,
+    PatchSizes,
     Scale,
     choose_basis,
     choose_scale,
     features_of,
     find_candidates,
-    planes_of,
-    project,
-)
-from matcap.example.exemplar import Exemplar, pack, unpack
-from matcap.example.grids import (
-    COST_BITS,
-    Frame,
-    PatchSizes,
     frame_of,
     grid_bits,
     grids_of,
     level_count,
+    planes_of,
+    project,
     similar_bits,
     step_of,
 )
+from matcap.example.exemplar import Exemplar, pack, unpack
 from matcap.example.lattice import GRID, Frequency, PhasedLattice, Phases, measure_lattice
 from matcap.example.placement import RULE, Placement, trend_penalty
 

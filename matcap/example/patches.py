@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.grids import Frame
+from matcap.example.candidates import Frame
 from matcap.example.index import Level
 from matcap.example.library import Hashes, hash_places
 from matcap.example.placement import Placement, drawn, reuse_cost

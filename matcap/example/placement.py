@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.candidates import SLOPES
-from matcap.example.grids import COST_BITS, Frame
+from matcap.example.candidates import COST_BITS, SLOPES, Frame
 from matcap.example.library import Hashes, draw, hash_places
 from matcap.field.turns import Integers
 

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.candidates import features_of, planes_of
+from matcap.example.candidates import PatchSizes, features_of, grid_bits, grids_of, planes_of
 from matcap.example.coordinates import coordinates
 from matcap.example.example import Example, coarsened, detail_bits
-from matcap.example.grids import PatchSizes, grid_bits, grids_of
 from matcap.example.index import Lookup
 from matcap.field.plane import Rectangle
 

@@ -11,6 +11,7 @@ import io
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -200,6 +201,69 @@ def jpeg_segments(path: Path) -> Iterator[tuple[int, bytes]]:
             yield head[1], file.read(length - 2)
 
 
+class Tag(IntEnum):
+    """Tags of TIFF, Exif and DNG files, by the names in their standards.
+
+    TIFF 6.0 with its supplements, TIFF/EP, Exif 2.32, and DNG 1.7.
+    """
+
+    ImageWidth = 256
+    ImageLength = 257
+    BitsPerSample = 258
+    Compression = 259
+    StripOffsets = 273
+    Orientation = 274
+    RowsPerStrip = 278
+    StripByteCounts = 279
+    Predictor = 317
+    WhitePoint = 318
+    PrimaryChromaticities = 319
+    TileWidth = 322
+    TileLength = 323
+    TileOffsets = 324
+    TileByteCounts = 325
+    SubIFDs = 330
+    JPEGTables = 347
+    XMP = 700
+    CFARepeatPatternDim = 33421
+    CFAPattern = 33422
+    ExifIFD = 34665
+    InterColorProfile = 34675
+    MakerNote = 37500
+    ColorSpace = 40961
+    InteroperabilityIFD = 40965
+    DNGVersion = 50706
+    LinearizationTable = 50712
+    BlackLevelRepeatDim = 50713
+    BlackLevel = 50714
+    BlackLevelDeltaH = 50715
+    BlackLevelDeltaV = 50716
+    WhiteLevel = 50717
+    DefaultCropOrigin = 50719
+    DefaultCropSize = 50720
+    ColorMatrix1 = 50721
+    ColorMatrix2 = 50722
+    CameraCalibration1 = 50723
+    CameraCalibration2 = 50724
+    AnalogBalance = 50727
+    AsShotNeutral = 50728
+    AsShotWhiteXY = 50729
+    CalibrationIlluminant1 = 50778
+    CalibrationIlluminant2 = 50779
+    ActiveArea = 50829
+    MaskedAreas = 50830
+    CameraCalibrationSignature = 50931
+    ProfileCalibrationSignature = 50932
+    ForwardMatrix1 = 50964
+    ForwardMatrix2 = 50965
+    RowInterleaveFactor = 50975
+    OpcodeList1 = 51008
+    OpcodeList2 = 51009
+    OpcodeList3 = 51022
+    DefaultUserCrop = 51125
+    ColumnInterleaveFactor = 52547
+
+
 # TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
 WHITE_IS_ZERO, GREYS, _MASK = 0, (0, 1), 4
 NO_RGB = {5: "CMYK", 8: "CIELAB", 9: "ICCLAB"}
@@ -209,7 +273,6 @@ _FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: unsigned, signed, floatin
 _JPEGS = (6, 7)  # compressions
 # Compressions that every OpenImageIO decodes; a failure with others means unsupported.
 _USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
-_ORIENTATION = 274  # a tag
 _MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
@@ -300,5 +363,5 @@ def meant_picture(path: Path) -> TiffPicture:
 
 
 def _orientation(page: Any) -> int | None:  # noqa: ANN401
-    tag = page.tags.get(_ORIENTATION)
+    tag = page.tags.get(Tag.Orientation)
     return int(tag.value) if tag is not None and tag.value in range(1, 9) else None

@@ -20,6 +20,7 @@ from matcap.files.color import LINEAR, LUMINANCE, largest_code, linear, rec709_f
 from matcap.files.containers import (
     NO_END,
     NO_RGB,
+    Tag,
     TiffPicture,
     is_tiff,
     meant_picture,
@@ -104,7 +105,6 @@ _READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "u
 _SIGNED = ("int8", "int16", "int", "int32")
 _LARGEST = 1e37  # values that matrices of colours keep finite
 _MOST_PARTS = 64  # of an EXR that are looked at
-_ORIENTATION = 274  # a tag of Exif
 Scalar = TypeVar("Scalar", bound=np.generic)
 _NOT_BUILT = "not configured"  # in libtiff's error for a compression that it was built without
 # Colour spaces that the decoders do not convert.
@@ -241,7 +241,7 @@ def _from_jpeg(path: Path) -> Pixels:
     stored = stored[..., None] if stored.ndim == 2 else stored
     roles = dict.fromkeys(_RGB, 0) if stored.shape[2] == 1 else _RGB
     pixels = Pixels(path, stored, roles, notes=notes)
-    return _standing(pixels, image.getexif().get(_ORIENTATION, 1))
+    return _standing(pixels, image.getexif().get(Tag.Orientation, 1))
 
 
 def _from_radiance(path: Path) -> Pixels:

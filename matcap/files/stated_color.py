@@ -35,6 +35,7 @@ from matcap.files.color import (
     space_of_primaries,
     srgb_decode,
 )
+from matcap.files.containers import Tag
 
 # ICC profiles: conversion of a file's colours to linear Rec.709 (ICC.1:2022).
 #
@@ -240,8 +241,7 @@ def _to_8_bits(
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_CHUNK = 1 << 26  # bytes; larger chunks are skipped, as a header may claim any size
-_ICC_TAG, _WHITE_POINT, _PRIMARIES = 34675, 318, 319  # of TIFF
-_EXIF_IFD, _INTEROPERABILITY_IFD, _COLOR_SPACE, _UNCALIBRATED = 0x8769, 0xA005, 0xA001, 65535
+_UNCALIBRATED = 65535
 _DECODED = 1 << 24  # most bytes of a decompressed profile
 
 
@@ -355,8 +355,8 @@ def of_exif(exif: bytes) -> StatedColor:
 
     tags = Image.Exif()
     tags.load(exif)
-    index = tags.get_ifd(_INTEROPERABILITY_IFD).get(1, "")
-    stated = tags.get_ifd(_EXIF_IFD).get(_COLOR_SPACE, 1)
+    index = tags.get_ifd(Tag.InteroperabilityIFD).get(1, "")
+    stated = tags.get_ifd(Tag.ExifIFD).get(Tag.ColorSpace, 1)
     if str(index).startswith("R03") and stated != 1 or stated == 2:  # 2: what some cameras write
         return StatedColor(space=ADOBE_RGB, notes=converted(ADOBE_RGB))
     if stated == _UNCALIBRATED:
@@ -417,9 +417,11 @@ def _of_tiff(path: Path, page: int) -> StatedColor:
     with tifffile.TiffFile(path) as file:
         chosen: Any = file.pages.get(page)
         tags = chosen.tags
-        if _ICC_TAG in tags:
-            return StatedColor(bytes(tags[_ICC_TAG].value))
-        stated = tuple(tags[t].value if t in tags else () for t in (_PRIMARIES, _WHITE_POINT))
+        if Tag.InterColorProfile in tags:
+            return StatedColor(bytes(tags[Tag.InterColorProfile].value))
+        stated = tuple(
+            tags[t].value if t in tags else () for t in (Tag.PrimaryChromaticities, Tag.WhitePoint)
+        )
     corners, white = (np.ravel(values).astype(np.float64) for values in stated)
     if len(corners) == 12 and len(white) == 4:
         primaries = np.concatenate([corners, white]).reshape(-1, 2)

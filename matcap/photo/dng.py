@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import REC709_TO_D50
+from matcap.files.containers import Tag
 from matcap.photo.photo import decoding, unsupported
 from matcap.photo.raw_samples import (
     JPEG_XL,
@@ -191,12 +192,14 @@ _REC709_TO_XYZ = np.array(
         [0.0193308, 0.1191948, 0.9505322],
     ]
 )
-_COLOR, _CALIBRATION, _FORWARD = (50721, 50722), (50723, 50724), (50964, 50965)  # tags
-_ANALOG_BALANCE, _NEUTRAL, _WHITE_XY, _ILLUMINANTS = 50727, 50728, 50729, (50778, 50779)
-_SIGNATURES = (50931, 50932)  # CameraCalibrationSignature, ProfileCalibrationSignature
+_COLOR = (Tag.ColorMatrix1, Tag.ColorMatrix2)
+_CALIBRATION = (Tag.CameraCalibration1, Tag.CameraCalibration2)
+_FORWARD = (Tag.ForwardMatrix1, Tag.ForwardMatrix2)
+_ILLUMINANTS = (Tag.CalibrationIlluminant1, Tag.CalibrationIlluminant2)
+_SIGNATURES = (Tag.CameraCalibrationSignature, Tag.ProfileCalibrationSignature)
 COLOR_TAGS = frozenset(
     {*_COLOR, *_CALIBRATION, *_FORWARD, *_ILLUMINANTS, *_SIGNATURES}
-    | {_ANALOG_BALANCE, _NEUTRAL, _WHITE_XY}
+    | {Tag.AnalogBalance, Tag.AsShotNeutral, Tag.AsShotWhiteXY}
 )
 # Kelvin of Exif's LightSource, as Adobe's DNG SDK has them.
 _KELVIN = {
@@ -269,7 +272,7 @@ class _Camera:
         kept = [i for i in (0, 1) if color[i] is not None][: 2 if both else 1]
         if not kept:
             return None
-        gains = _numbers(tags.get(_ANALOG_BALANCE))
+        gains = _numbers(tags.get(Tag.AnalogBalance))
         balance = np.diag(gains) if len(gains) == 3 and gains.min() > 0.0 else np.eye(3)
         signatures = [_text(tags.get(tag)) for tag in _SIGNATURES]
         calibrations = [
@@ -340,12 +343,12 @@ def temperature(white: tuple[float, float]) -> float:
 
 
 def _stated_neutral(tags: Mapping[int, Any]) -> Matrix | None:
-    values = _numbers(tags.get(_NEUTRAL))
+    values = _numbers(tags.get(Tag.AsShotNeutral))
     return values if len(values) == 3 and values.min() > 0.0 else None
 
 
 def _stated_white(tags: Mapping[int, Any]) -> tuple[float, float] | None:
-    values = _numbers(tags.get(_WHITE_XY))
+    values = _numbers(tags.get(Tag.AsShotWhiteXY))
     if len(values) != 2 or values.min() < 0.05 or values.sum() > 0.95:
         return None
     return float(values[0]), float(values[1])
@@ -379,9 +382,8 @@ def _text(value: Any) -> bytes:  # noqa: ANN401
 
 
 _CFA, _LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
-_FLOATING, _ORIENTATION = 3, 274  # a SampleFormat, and a tag
+_FLOATING = 3  # a SampleFormat
 _MOST_PAGES = 64  # a damaged file may claim any number of them
-_ACTIVE_AREA, _OPCODES_ON_MOSAIC, _OPCODES_AFTER = 50829, 51009, 51022
 
 
 @dataclass(frozen=True)
@@ -432,9 +434,9 @@ def read_corrections(path: Path) -> Corrections:
         pattern = unsupported_pattern(page)
         if pattern and int(page.photometric) == _CFA:
             raise unsupported(path, f"a DNG whose mosaic repeats by {pattern} photosites")
-        on_mosaic, undone = parse_opcodes(_bytes(page, _OPCODES_ON_MOSAIC))
-        after, also_undone = parse_opcodes(_bytes(page, _OPCODES_AFTER))
-        maps = value_maps(_bytes(page, _OPCODES_ON_MOSAIC))
+        on_mosaic, undone = parse_opcodes(_bytes(page, Tag.OpcodeList2))
+        after, also_undone = parse_opcodes(_bytes(page, Tag.OpcodeList3))
+        maps = value_maps(_bytes(page, Tag.OpcodeList2))
         asked = sorted((undone - {_OF_VALUES}) | also_undone)
         floating = int(page.sampleformat) == _FLOATING
         misread = not floating and needs_normalising(page, bool(maps))
@@ -448,7 +450,7 @@ def read_corrections(path: Path) -> Corrections:
                 "The file's crop is off centre: the smallest part around the centre that holds it "
                 "is read."
             )
-        first = file.pages.first.tags.get(_ORIENTATION)
+        first = file.pages.first.tags.get(Tag.Orientation)
         return Corrections(
             on_mosaic,
             after,
@@ -481,9 +483,9 @@ def _values(page: Any) -> dict[int, Any]:  # noqa: ANN401
 
 
 def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401
-    if _ACTIVE_AREA not in page.tags:
+    if Tag.ActiveArea not in page.tags:
         return None
-    top, left, bottom, right = (int(edge) for edge in page.tags[_ACTIVE_AREA].value)
+    top, left, bottom, right = (int(edge) for edge in page.tags[Tag.ActiveArea].value)
     if not (0 <= top < bottom <= page.imagelength and 0 <= left < right <= page.imagewidth):
         raise ValueError("the active area lies outside the picture")
     return top, left, bottom, right

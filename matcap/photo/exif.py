@@ -10,7 +10,7 @@ from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.containers import jpeg_segments
+from matcap.files.containers import Tag, jpeg_segments
 from matcap.files.stated_color import png_chunks, riff_chunks
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
@@ -196,7 +196,7 @@ def _xmp_of(path: Path, head: bytes) -> bytes:
             import tifffile
 
             with tifffile.TiffFile(path) as tiff:
-                tag = tiff.pages.first.tags.get(700)
+                tag = tiff.pages.first.tags.get(Tag.XMP)
                 return b"" if tag is None else bytes(tag.value)[:_LARGEST_XMP]
     except Exception:  # parsers raise anything on damaged files; decoding the pixels reports them
         return b""

@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import ColorSpace, rec709_decode
+from matcap.files.containers import Tag
 from matcap.files.stated_color import lineariser_of
 
 APPLE = "urn:com:apple:photo:2020:aux:hdrgainmap"
@@ -46,7 +47,7 @@ _XMP = b"http://ns.adobe.com/xap/1.0/\0"
 _SOI, _SOS, _EOI = b"\xff\xd8\xff", 0xDA, 0xD9
 # Flags; the last two are libultrahdr's.
 _MULTICHANNEL, _BACKWARD, _COMMON_DENOMINATOR = 0x80, 0x04, 0x08
-_EXIF_IFD, _MAKER_NOTE, _MAKER_HEADROOM, _MAKER_GAIN = 34665, 37500, 33, 48
+_MAKER_HEADROOM, _MAKER_GAIN = 33, 48
 _MOST_STOPS = 16.0  # of a plausible gain
 _OFF = 1.5  # pixels of the map by which its shape may differ from the base's, by rounding
 _FULL_GAIN = 0.995  # share of the largest gain from which on the HDR picture is at its limit
@@ -236,7 +237,7 @@ def apple_headroom(exif: Mapping[int, Any], xmp: bytes) -> float:
     stated = re.search(rb"HDRGainMapHeadroom\s*(?:=\s*[\"']|>)\s*([\d.]+)", xmp)
     if stated and 1.0 <= float(stated[1]) < 2.0**_MOST_STOPS:
         return float(stated[1])
-    notes = _apple_notes(exif.get(_MAKER_NOTE, b""))
+    notes = _apple_notes(exif.get(Tag.MakerNote, b""))
     if not {_MAKER_HEADROOM, _MAKER_GAIN} <= notes.keys():
         raise ValueError("the headroom is missing, as in a picture that was edited")
     wide, gain = notes[_MAKER_HEADROOM] >= 1.0, notes[_MAKER_GAIN]
@@ -254,7 +255,7 @@ def exif_ifd(exif: bytes) -> Mapping[int, Any]:
     tags = Image.Exif()
     try:
         tags.load(exif)
-        return tags.get_ifd(_EXIF_IFD)
+        return tags.get_ifd(Tag.ExifIFD)
     except Exception:  # the parser raises anything on damaged tags
         return {}
 

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from enum import Enum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.files.containers import Tag
+from matcap.files.exr import MAGIC
 from matcap.files.pixels import upright
 from matcap.files.process import quiet_decoders
 from matcap.photo.developed import read_heic, read_jpeg, read_webp_or_avif
@@ -29,6 +32,7 @@ from matcap.photo.lossless import (
     read_png_or_tiff,
 )
 from matcap.photo.photo import (
+    READABLE,
     SHORTEST_SIDE,
     Decoded,
     Photo,
@@ -40,11 +44,132 @@ from matcap.photo.photo import (
     unreadable,
 )
 from matcap.photo.raw import read_raw
-from matcap.photo.raw_samples import BLACK, DONE, WHITE, normalised
+from matcap.photo.raw_samples import DONE, normalised
 
 if TYPE_CHECKING:
     from tifffile import TiffPage
-from matcap.photo.kind import FileKind, file_kind
+
+
+class FileKind(Enum):
+    """Formats of photographs."""
+
+    RAW = "RAW"
+    DNG = "DNG"
+    JPEG = "JPEG"
+    PNG = "PNG"
+    TIFF = "TIFF"
+    HEIC = "HEIC"
+    AVIF = "AVIF"
+    WEBP = "WebP"
+    EXR = "EXR"
+    RADIANCE = "Radiance HDR"
+
+
+_EXR = b"\x76\x2f\x31\x01"
+_JPEG = b"\xff\xd8\xff"
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
+_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
+_AVIF_BRANDS = {b"avif", b"avis"}
+# Of RAW files other than DNG.
+RAW_SUFFIXES = frozenset(
+    f".{maker}"
+    for maker in (
+        *("3fr", "arw", "cr2", "cr3", "crw", "dcr", "erf", "fff", "gpr", "iiq", "kdc", "mef"),
+        *("mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf"),
+        *("srw", "x3f"),
+    )
+)
+_HEAD = 64  # first bytes that are read
+
+
+def file_kind(path: Path) -> FileKind:
+    """Detect a file's format.
+
+    Raises:
+        MatcapError: the file is missing, not a file, empty, unreadable, or not a photograph.
+    """
+    head = _head(path)
+    if head.startswith(_JPEG):
+        return FileKind.JPEG
+    if head.startswith(_PNG):
+        return FileKind.PNG
+    if head.startswith(_EXR):
+        return FileKind.EXR
+    if head.startswith(MAGIC):
+        return FileKind.RADIANCE
+    if head[4:8] == b"ftyp":
+        brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
+        # AVIF first, as AVIF files may have HEIC's generic brands.
+        if brands & _AVIF_BRANDS:
+            return FileKind.AVIF
+        if brands & _HEIC_BRANDS:
+            return FileKind.HEIC
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return FileKind.WEBP
+    if head[4:12] == b"ftypcrx " or head.startswith(_RAW):
+        return FileKind.RAW
+    if head.startswith(_TIFF):
+        return _of_tiff(path)
+    raise MatcapError.at(path, f"this is not a photograph{_guess(head)}", READABLE)
+
+
+def _head(path: Path) -> bytes:
+    if path.is_dir():
+        raise MatcapError.at(path, "this is a directory", "give one photograph inside it")
+    try:
+        if path.exists() and not path.is_file():
+            raise MatcapError.at(path, "this is not a file", READABLE)
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError as error:
+        raise MatcapError.at(path, "there is no such file", "check the name") from error
+    except PermissionError as error:
+        raise MatcapError.at(path, "the file may not be read", "change its permissions") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise MatcapError.at(
+            path,
+            f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+            "check the disk and the name",
+        ) from error
+    if not head:
+        raise MatcapError.at(path, "the file is empty", "copy it from the camera again")
+    return head
+
+
+def _of_tiff(path: Path) -> FileKind:
+    """The format of a TIFF: DNG by its version tag, RAW by its suffix or by a raw picture."""
+    import tifffile
+
+    with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
+        if Tag.DNGVersion in file.pages.first.tags:
+            return FileKind.DNG
+        if path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None:
+            return FileKind.RAW
+        return FileKind.TIFF
+
+
+# Other formats by their first bytes, for error messages.
+_KNOWN = {
+    b"GIF8": "a GIF", b"BM": "a BMP picture", b"8BPS": "a Photoshop document",
+    b"%PDF": "a PDF document",
+    b"\xff\x0a": "a JPEG XL picture", b"\0\0\0\x0cJXL ": "a JPEG XL picture",
+    b"\xff\x4f\xff\x51": "a JPEG 2000 picture", b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
+}  # fmt: skip
+
+
+def _guess(head: bytes) -> str:
+    """Part of a message that names the format by the first bytes, or ""."""
+    for begins, what in _KNOWN.items():
+        if head.startswith(begins):
+            return f" in a supported format but {what}"
+    if head[4:8] == b"ftyp":
+        return " but a video or another container"
+    if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
+        return " but a text file"
+    return ""
+
 
 # Rewrites DNGs that LibRaw cannot read (JPEG XL, of newer ProRAW) or misreads, to temporary copies.
 #
@@ -52,13 +177,15 @@ from matcap.photo.kind import FileKind, file_kind
 # LibRaw would misread it (raw_samples.py), with all other tags unchanged.
 
 
-_WIDTH, _LENGTH, _BITS, _COMPRESSION, _OFFSETS, _ROWS, _COUNTS = 256, 257, 258, 259, 273, 278, 279
 # Black and white of normalised mosaics, so that noise below black is kept.
 _PEDESTAL, _LARGEST = 4096, 65535
 _AS_STORED = Corrections()
-# Predictor, tiles, JPEG tables: tags of the compression, which are dropped.
-_OF_COMPRESSION = (317, 322, 323, 324, 325, 347)
-_SUB_IFDS, _NONE = 330, 1
+# Tags of the compression, which are dropped.
+_OF_COMPRESSION = (
+    *(Tag.Predictor, Tag.TileWidth, Tag.TileLength, Tag.TileOffsets, Tag.TileByteCounts),
+    Tag.JPEGTables,
+)
+_NONE = 1  # a compression
 _SHORT, _LONG = 3, 4  # types of TIFF
 _ENTRY = 12  # bytes
 
@@ -154,23 +281,23 @@ def _patched(
     patched += struct.pack(f"{order}4H", 16, 16, 16, 0)
     at = len(patched)
     changed = {
-        _BITS: (_SHORT, planes, 16 if planes == 1 else bits_at),
-        _COMPRESSION: (_SHORT, 1, _NONE),
-        _ROWS: (_LONG, 1, samples.shape[0]),
-        _COUNTS: (_LONG, 1, 2 * samples.size),
-        _OFFSETS: (_LONG, 1, 0),
+        Tag.BitsPerSample: (_SHORT, planes, 16 if planes == 1 else bits_at),
+        Tag.Compression: (_SHORT, 1, _NONE),
+        Tag.RowsPerStrip: (_LONG, 1, samples.shape[0]),
+        Tag.StripByteCounts: (_LONG, 1, 2 * samples.size),
+        Tag.StripOffsets: (_LONG, 1, 0),
     }
     if levels is not None:
         changed |= {
-            _WIDTH: (_LONG, 1, samples.shape[1]),
-            _LENGTH: (_LONG, 1, samples.shape[0]),
-            BLACK: (_LONG, 1, levels[0]),
-            WHITE: (_LONG, 1, levels[1]),
+            Tag.ImageWidth: (_LONG, 1, samples.shape[1]),
+            Tag.ImageLength: (_LONG, 1, samples.shape[0]),
+            Tag.BlackLevel: (_LONG, 1, levels[0]),
+            Tag.WhiteLevel: (_LONG, 1, levels[1]),
         }
-    elif WHITE not in entries:
-        changed[WHITE] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
+    elif Tag.WhiteLevel not in entries:
+        changed[Tag.WhiteLevel] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
     size = 2 + _ENTRY * len(entries | changed) + 4
-    changed[_OFFSETS] = (_LONG, 1, at + size)
+    changed[Tag.StripOffsets] = (_LONG, 1, at + size)
     for code, (kind, count, value) in changed.items():
         form = "HH" if kind == _SHORT and count == 1 else "I"
         stored = struct.pack(f"{order}{form}", *((value, 0) if form == "HH" else (value,)))
@@ -191,8 +318,8 @@ def _pointer(data: bytes, file: Any, page: TiffPage, order: str) -> int:  # noqa
     places = [4]  # of the first page
     for each in file.pages:
         places.append(each.offset + 2 + _ENTRY * len(each.tags))
-        if _SUB_IFDS in each.tags:
-            tag = each.tags[_SUB_IFDS]
+        if Tag.SubIFDs in each.tags:
+            tag = each.tags[Tag.SubIFDs]
             places += [tag.valueoffset + 4 * index for index in range(tag.count)]
     for place in places:
         if data[place : place + 4] == struct.pack(f"{order}I", page.offset):

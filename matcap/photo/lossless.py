@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 from matcap.files.color import LINEAR, ColorSpace
-from matcap.files.containers import GREYS, TiffPicture, meant_picture
+from matcap.files.containers import GREYS, Tag, TiffPicture, meant_picture
 from matcap.files.exr import forget_error
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.files.stated_color import StatedColor, stated_color
@@ -36,7 +36,7 @@ _SHARED, _SHARED_SHARE = 16, 1e-4
 _MOST_SHARED = 0.5  # share of all from which on it is a flat picture
 _EQUAL = 1e-4  # relative difference of values that count as equal
 _USUAL_MEDIANS = (1e-3, 2.0)  # median of a photograph in units of white; beyond, white is doubtful
-_PATTERN, _PLAIN = 33422, 1  # a tag, and a compression
+_PLAIN = 1  # a compression
 
 
 def read_exr_or_radiance(path: Path, long_side: int | None, white: float | None) -> Decoded:
@@ -158,7 +158,7 @@ def read_float_dng(
         if int(page.compression) != _PLAIN and importlib.util.find_spec("imagecodecs") is None:
             raise missing_extra(path, "a compressed float DNG", "jxl")
         samples = normalised(page)
-        pattern = bytes(page.tags[_PATTERN].value) if samples.ndim == 2 else None
+        pattern = bytes(page.tags[Tag.CFAPattern].value) if samples.ndim == 2 else None
     crop = corrections.crop
     camera = samples[..., :3] if pattern is None else _binned(path, samples, pattern)
     size = samples.shape[1], samples.shape[0]

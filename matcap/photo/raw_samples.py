@@ -15,14 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.files.containers import Tag
+
 JPEG_XL, _LOSSY_JPEG = 52546, 34892  # compressions
-TABLE, _REPEAT, BLACK, _BY_COLUMN, _BY_ROW, WHITE = 50712, 50713, 50714, 50715, 50716, 50717
-ACTIVE_AREA, _ROWS, _COLUMNS = 50829, 50975, 52547  # the last two: interleave factors
-_PATTERN_SIZE, _CROP_ORIGIN, _CROP_SIZE, _USER_CROP = 33421, 50719, 50720, 51125
 # Tags that are done once the samples are normalised.
 DONE = (
-    *(TABLE, _REPEAT, BLACK, _BY_COLUMN, _BY_ROW, WHITE, ACTIVE_AREA, _ROWS, _COLUMNS),
-    *(_CROP_ORIGIN, _CROP_SIZE, _USER_CROP, 50830, 51008, 51009, 51022),
+    *(
+        Tag.LinearizationTable,
+        Tag.BlackLevelRepeatDim,
+        Tag.BlackLevel,
+        Tag.BlackLevelDeltaH,
+        Tag.BlackLevelDeltaV,
+        Tag.WhiteLevel,
+    ),
+    *(Tag.ActiveArea, Tag.MaskedAreas, Tag.RowInterleaveFactor, Tag.ColumnInterleaveFactor),
+    *(Tag.DefaultCropOrigin, Tag.DefaultCropSize, Tag.DefaultUserCrop),
+    *(Tag.OpcodeList1, Tag.OpcodeList2, Tag.OpcodeList3),
 )
 _RATIONALS, _FLOATING = (5, 10), 3  # types of TIFF, and a SampleFormat
 _MAP_TABLE, _MAP_POLYNOMIAL = 7, 8  # opcodes
@@ -38,17 +46,17 @@ _PATTERNS = ((2, 2), (6, 6))  # of mosaics: Bayer, X-Trans
 
 def needs_normalising(page: Any, has_value_maps: bool) -> bool:  # noqa: ANN401
     """Whether LibRaw would misread the samples of a raw picture of whole numbers."""
-    top, left, *_ = _whole(page, ACTIVE_AREA, (0, 0))
-    repeat = tuple(_whole(page, _REPEAT, (1, 1)))
-    black, white = value(page, BLACK, (0.0,)), value(page, WHITE, (65535.0,))
+    top, left, *_ = _whole(page, Tag.ActiveArea, (0, 0))
+    repeat = tuple(_whole(page, Tag.BlackLevelRepeatDim, (1, 1)))
+    black, white = value(page, Tag.BlackLevel, (0.0,)), value(page, Tag.WhiteLevel, (65535.0,))
     spread = float(np.ptp(black)) / max(float(white.min() - black.max()), 1.0)
     odd = (top | left) % 2 == 1 or int(page.samplesperpixel) > 1
     return bool(
         has_value_maps
         or int(page.compression) == _LOSSY_JPEG
         or _factors(page) != (1, 1)
-        or value(page, _BY_COLUMN, (0.0,)).any()
-        or value(page, _BY_ROW, (0.0,)).any()
+        or value(page, Tag.BlackLevelDeltaH, (0.0,)).any()
+        or value(page, Tag.BlackLevelDeltaV, (0.0,)).any()
         or repeat not in ((1, 1), (2, 2))
         or spread > (_LEAST_SPREAD if odd else _SPREAD)
         or len(set(white)) > 1
@@ -57,7 +65,7 @@ def needs_normalising(page: Any, has_value_maps: bool) -> bool:  # noqa: ANN401
 
 def unsupported_pattern(page: Any) -> str:  # noqa: ANN401
     """What a mosaic's pattern is, such as "4 x 4", if it is not supported; else ""."""
-    size = tuple(_whole(page, _PATTERN_SIZE, _PATTERNS[0]))
+    size = tuple(_whole(page, Tag.CFARepeatPatternDim, _PATTERNS[0]))
     return "" if size in _PATTERNS else " x ".join(map(str, size))
 
 
@@ -68,28 +76,31 @@ def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32
         Exception: of any kind where the file is damaged.
     """
     stored = in_order(page.asarray(), *_factors(page))
-    if TABLE in page.tags:
-        table = np.asarray(page.tags[TABLE].value, np.float32)
+    if Tag.LinearizationTable in page.tags:
+        table = np.asarray(page.tags[Tag.LinearizationTable].value, np.float32)
         stored = table[np.minimum(stored, len(table) - 1)]
     samples: Any = stored.astype(np.float32)
-    area = _whole(page, ACTIVE_AREA, (0, 0, *samples.shape[:2]))
+    area = _whole(page, Tag.ActiveArea, (0, 0, *samples.shape[:2]))
     samples = samples[area[0] : area[2], area[1] : area[3]]
     flat = samples.ndim == 2
     samples = samples[..., None] if flat else samples
     height, width, planes = samples.shape
-    rows, columns = _whole(page, _REPEAT, (1, 1))
+    rows, columns = _whole(page, Tag.BlackLevelRepeatDim, (1, 1))
     if not (1 <= rows <= _LARGEST_PATTERN and 1 <= columns <= _LARGEST_PATTERN):
         raise ValueError("a pattern of black levels that no sensor has")
-    pattern = np.resize(value(page, BLACK, (0.0,)), rows * columns * planes)
+    pattern = np.resize(value(page, Tag.BlackLevel, (0.0,)), rows * columns * planes)
     pattern = pattern.reshape(rows, columns, planes).astype(np.float32)
     black = pattern[np.arange(height)[:, None] % rows, np.arange(width)[None] % columns]
-    across, down = (value(page, tag, (0.0,)).astype(np.float32) for tag in (_BY_COLUMN, _BY_ROW))
+    across, down = (
+        value(page, tag, (0.0,)).astype(np.float32)
+        for tag in (Tag.BlackLevelDeltaH, Tag.BlackLevelDeltaV)
+    )
     if len(across) not in (1, width) or len(down) not in (1, height):
         raise ValueError("black levels by row or column that do not fit")
     black = black + across[None, :, None] + down[:, None, None]
     floating = int(page.sampleformat) == _FLOATING
     full = 1.0 if floating else float(2 ** int(page.bitspersample) - 1)
-    white = np.resize(value(page, WHITE, (full,)), planes)
+    white = np.resize(value(page, Tag.WhiteLevel, (full,)), planes)
     span = white - black.max(axis=(0, 1))
     if not (np.isfinite(span).all() and span.min() > 0.0):
         raise ValueError("white is not above black")
@@ -198,17 +209,20 @@ def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
     Args:
         tags: tags of the raw picture, and of the first page where it has none.
     """
-    area = _whole(page, ACTIVE_AREA, (0, 0, int(page.imagelength), int(page.imagewidth)))
+    area = _whole(page, Tag.ActiveArea, (0, 0, int(page.imagelength), int(page.imagewidth)))
     height, width = area[2] - area[0], area[3] - area[1]
-    left, top = (round(float(edge)) for edge in _numbers(tags.get(_CROP_ORIGIN), (0.0, 0.0)))
+    left, top = (
+        round(float(edge)) for edge in _numbers(tags.get(Tag.DefaultCropOrigin), (0.0, 0.0))
+    )
     across, down = (
-        round(float(side)) for side in _numbers(tags.get(_CROP_SIZE), (width - left, height - top))
+        round(float(side))
+        for side in _numbers(tags.get(Tag.DefaultCropSize), (width - left, height - top))
     )
     if not (min(top, left) >= 0 and min(across, down) > 0):
         return None
     if top + down > height or left + across > width:
         return None
-    edges = _numbers(tags.get(_USER_CROP), (0.0, 0.0, 1.0, 1.0))
+    edges = _numbers(tags.get(Tag.DefaultUserCrop), (0.0, 0.0, 1.0, 1.0))
     if not 0.0 <= edges[0] < edges[2] <= 1.0 or not 0.0 <= edges[1] < edges[3] <= 1.0:
         edges = np.array((0.0, 0.0, 1.0, 1.0))
     tall, wide = (max(0.5 - edges[i], edges[i + 2] - 0.5) for i in (0, 1))
@@ -248,5 +262,8 @@ def _whole(page: Any, tag: int, none: tuple[int, ...]) -> list[int]:  # noqa: AN
 
 
 def _factors(page: Any) -> tuple[int, int]:  # noqa: ANN401
-    rows, columns = (max(_whole(page, tag, (1,))[0], 1) for tag in (_ROWS, _COLUMNS))
+    rows, columns = (
+        max(_whole(page, tag, (1,))[0], 1)
+        for tag in (Tag.RowInterleaveFactor, Tag.ColumnInterleaveFactor)
+    )
     return rows, columns

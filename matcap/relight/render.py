@@ -19,8 +19,7 @@ from matcap.files.color import srgb_decode
 from matcap.files.process import cores
 from matcap.relight.block import Block, Hits, ShadingContext, Shape
 from matcap.relight.camera import Array, View, view_of
-from matcap.relight.effects import area, direct, environment
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE, area, direct, environment
 from matcap.relight.effects.entries import EFFECTS
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import nearest
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 from matcap.relight.plan import Plan
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (

@@ -18,7 +18,7 @@ from matcap.brdf.maps import MapSet
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.example.example import example_of
-from matcap.field.device import repeatable
+from matcap.field.field import repeatable
 from matcap.field.header import REMEDY
 from matcap.field.material import Material
 from matcap.field.plane import RING, Grid, Period, Rectangle, Span, check_period, check_seed

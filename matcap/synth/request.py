@@ -17,7 +17,7 @@ from matcap.files.names import Progress, ignore_progress
 from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
-    from matcap.field.device import DeviceName
+    from matcap.field.field import DeviceName
     from matcap.field.material import Material
     from matcap.files.settings import Size
 

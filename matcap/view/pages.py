@@ -18,7 +18,7 @@ from matcap.example.example import Example
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.files.names import read_document
 from matcap.files.pixels import jpeg_bytes, png_bytes
-from matcap.photo.kind import RAW_SUFFIXES
+from matcap.photo.load import RAW_SUFFIXES
 from matcap.view.level_of_detail import (
     ALBEDO,
     ALPHA2,

@@ -32,7 +32,7 @@ def address():
         yield cluster.scheduler_address
 
 
-def test_jobs_are_done_and_losses_are_told(address):
+def test_jobs_run_and_lost_ones_are_reported(address):
     workers = Machines(address, work, prepare)
     try:
         assert workers.size == 2

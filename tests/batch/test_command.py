@@ -32,7 +32,7 @@ def shoot(tmp_path):
     return tmp_path / "shoot"
 
 
-def test_a_dry_run_writes_nothing_and_does_not_know_the_time(shoot, tmp_path, capsys):
+def test_a_dry_run_writes_nothing_and_forecasts_no_time(shoot, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "-j", "1"]) == 0
     values = json.loads(capsys.readouterr().out)

@@ -114,7 +114,7 @@ def bad(name, kind="photograph"):
     return lambda job: Failure(kind, f"{job.name} is bad.") if job.name == name else True
 
 
-def test_everything_is_made_once_and_kept_the_next_time(batch):
+def test_finished_materials_are_kept_by_the_next_run(batch):
     entries, workers, _ = batch()
     assert set(states(entries).values()) == {"made"} and workers.most == 2
     assert exit_code(entries) == 0
@@ -153,7 +153,7 @@ def test_a_crash_is_reported_and_tried_again_next_time(batch):
     assert [job.name for job in workers.jobs] == ["b"]
 
 
-def test_when_nothing_succeeds_the_code_is_three(batch):
+def test_a_batch_without_a_success_exits_with_3(batch):
     entries, _, _ = batch(lambda job: Failure("photograph", "bad."))
     assert exit_code(entries) == 3
 

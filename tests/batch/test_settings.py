@@ -20,7 +20,7 @@ from matcap.errors import MatcapError, UsageError
 # matcap.toml and flags; what a material is made from.
 
 
-def test_flags_win_over_the_file_and_the_file_over_defaults(tmp_path):
+def test_flags_override_the_file_and_the_file_defaults(tmp_path):
     (tmp_path / "matcap.toml").write_text(
         'preset = "draft"\ndetail = 512\nsize = "256x128"\ntime = "2m"\npng = true\nfov = 60\n'
     )
@@ -39,7 +39,7 @@ def test_settings_by_name_and_back():
     assert settings.capture.time_limit == 5.0 and settings.outputs.targets == ("gltf",)
 
 
-def test_the_file_in_the_folder_wins_over_its_parents(tmp_path):
+def test_the_nearest_settings_file_is_used(tmp_path):
     (tmp_path / "shoot").mkdir()
     (tmp_path / "matcap.toml").write_text("detail = 512\n")
     assert settings_of(tmp_path / "shoot", {}).capture.detail == 512
@@ -254,7 +254,7 @@ def test_grouped_by_name(tmp_path):
     assert len(groups) == 7
 
 
-def test_sets_are_told_before_anything_starts(tmp_path):
+def test_groups_of_photographs_are_announced(tmp_path):
     touch(tmp_path, "oak_1.jpg", "oak_2.jpg", "elm.jpg")
     said = group_sentences(find_samples(tmp_path, group="name"))
     assert said[0] == "oak_1: 2 photographs of one sample (oak_1.jpg, oak_2.jpg)."
@@ -305,7 +305,7 @@ def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("name", ["nothing", "a.jpg", "empty"])
-def test_what_holds_no_photographs_is_refused(tmp_path, name):
+def test_a_folder_without_photographs_is_refused(tmp_path, name):
     touch(tmp_path, "a.jpg")
     (tmp_path / "empty").mkdir()
     with pytest.raises(MatcapError, match="give a folder"):

@@ -37,7 +37,7 @@ def dead_run(out):
     return out / WORKSPACE / "run"
 
 
-def test_a_material_is_done_when_its_files_and_identity_are_right(tmp_path):
+def test_a_material_is_done_if_its_files_and_identity_match(tmp_path):
     with open_run(tmp_path) as run:
         folder = make(run, "a", "picture")
         assert is_done(folder, "i")
@@ -261,7 +261,7 @@ def test_a_material_that_failed_in_the_verdict_is_red(tmp_path):
     assert (row["state"], row["verdict"], row["severity"]) == ("done", "failed", 4.2)
 
 
-def test_a_material_links_its_verdict_and_maps_and_says_how_to_view_it(tmp_path):
+def test_the_index_links_verdict_maps_and_view_command(tmp_path):
     page = (written(tmp_path) / "index.html").read_text()
     for name in ("good", "earlier"):
         assert f'href="{name}/report.json">usable' in page and f'href="{name}/">maps' in page

@@ -23,7 +23,7 @@ def maps():
     return MapSet.from_stacked(stacked, 2 / 512, periodic=True)
 
 
-def test_nothing_leaves_the_bits(maps):
+def test_no_adjustment_is_the_identity(maps):
     assert adjusted(maps, NONE) is maps
     assert adjusted(maps, parse_adjustments("relief=1,roughness=0,tint=#ffffff")) is maps
 
@@ -83,7 +83,7 @@ def test_a_tint_is_a_colour_of_luminance_one(maps):
 @pytest.mark.parametrize(
     "text", ["relief=1.3,roughness=-0.1", "tint=#ffe8d0", "saturation=0,brightness=0.25", ""]
 )
-def test_what_is_written_is_read(text):
+def test_written_adjustments_are_read_back(text):
     one = parse_adjustments(text)
     assert parse_adjustments(one.text) == one
     assert (one.text == "") == (text == "") == (not one.changes)
@@ -106,13 +106,13 @@ def test_what_is_written_is_read(text):
         ("nowhere.json", "no adjustments"),
     ],
 )
-def test_what_is_no_adjustment_is_one_sentence(text, says):
+def test_malformed_adjustments_are_one_sentence(text, says):
     with pytest.raises(UsageError, match=says) as raised:
         parse_adjustments(text)
     assert "\n" not in str(raised.value) and len(str(raised.value)) < 200
 
 
-def test_synth_adjusts_what_it_writes_and_tells_it(tmp_path, capsys):
+def test_synth_adjusts_its_maps_and_records_it(tmp_path, capsys):
     from materials import a_material
 
     file = tmp_path / "tiny.matcap"
@@ -138,7 +138,7 @@ def test_synth_adjusts_what_it_writes_and_tells_it(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_export_and_relight_adjust_too(tmp_path, maps):
+def test_export_and_relight_adjust(tmp_path, maps):
     write_mapset(maps, tmp_path / "maps", MapSetInfo("wall"))
     given = "brightness=0.5,relief=2"
     changed = adjusted(read_mapset(tmp_path / "maps")[0], parse_adjustments(given))

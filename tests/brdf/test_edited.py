@@ -65,7 +65,7 @@ def test_grey_as_grey_and_alpha_or_as_three_channels(written):
     same(quietly(folder), expected)
 
 
-def test_a_transparent_alpha_is_told(written):
+def test_a_transparent_alpha_is_noted(written):
     folder, expected = written
     planes = np.moveaxis(read_exr(folder / "leather_diffuse.exr").pixels, -1, 0)
     resave(folder / "leather_diffuse.exr", *planes, np.full(planes[0].shape, 0.5))
@@ -128,7 +128,7 @@ def painted(normals):
         (lambda normals: normals * np.array([1, -1, 1]), "differs from the height at"),
     ],
 )
-def test_an_edited_normal_is_told(tmp_path, maps, change, said):
+def test_an_edited_normal_is_noted(tmp_path, maps, change, said):
     write_mapset(maps, tmp_path, MapSetInfo("moss"))
     file = tmp_path / "moss_normal.exr"
     write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
@@ -136,7 +136,7 @@ def test_an_edited_normal_is_told(tmp_path, maps, change, said):
         read_mapset(tmp_path)
 
 
-def test_normals_that_are_none_are_told(tmp_path, maps):
+def test_invalid_normals_are_noted(tmp_path, maps):
     write_mapset(maps, tmp_path, MapSetInfo("moss"))
     broken = np.full((20, 31, 3), np.nan, np.float32)
     write_other_exr(tmp_path / "moss_normal.exr", {"RGB": broken})
@@ -153,7 +153,7 @@ def test_a_set_without_a_normal_file_is_whole(tmp_path, maps):
 
 
 @pytest.mark.parametrize("style", ["gl", "dx"])
-def test_what_was_painted_is_read_where_it_is_asked_for(tmp_path, maps, style):
+def test_painted_normals_are_read_on_request(tmp_path, maps, style):
     write_mapset(maps, tmp_path, MapSetInfo("moss"), normal=style)
     file = tmp_path / "moss_normal.exr"
     normals = read_exr(file).pixels
@@ -183,7 +183,7 @@ def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
         (lambda normals: 0.0 * normals, "normals of 620 texels"),
     ],
 )
-def test_what_is_no_normal_is_refused_where_it_is_asked_for(tmp_path, maps, change, said):
+def test_invalid_normals_are_refused_on_request(tmp_path, maps, change, said):
     write_mapset(maps, tmp_path, MapSetInfo("moss"))
     file = tmp_path / "moss_normal.exr"
     write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
@@ -220,7 +220,7 @@ def test_means_and_curl_that_no_repeating_surface_has_are_left_out():
 
 
 @pytest.mark.parametrize(("height", "width"), [(64, 96), (63, 97)])
-def test_steps_of_a_height_give_it_back_to_the_finest_wave(height: int, width: int) -> None:
+def test_a_height_is_recovered_from_its_differences(height: int, width: int) -> None:
     noise = np.random.default_rng(0).standard_normal((height, width)).astype(np.float32)
     found = integrate(np.diff(noise, axis=1), np.diff(noise, axis=0))
     expected = noise - noise.mean()
@@ -228,7 +228,7 @@ def test_steps_of_a_height_give_it_back_to_the_finest_wave(height: int, width: i
     assert np.abs((found - expected)[inner]).max() < (0.2 if height % 2 else 1e-3)
 
 
-def test_what_no_height_has_is_left_out() -> None:
+def test_the_curl_of_slopes_is_left_out() -> None:
     """A slope field that turns in circles belongs to no surface."""
     y, x = np.meshgrid(np.linspace(-4, 4, 64), np.linspace(-4, 4, 64), indexing="ij")
     swirl = np.exp(-(np.square(x) + np.square(y))).astype(np.float32)

@@ -39,7 +39,7 @@ def pixels(path):
     return channel.pixels
 
 
-def test_the_folder_is_as_designed(tmp_path, maps):
+def test_a_map_set_has_its_documented_files(tmp_path, maps):
     document = write_mapset(maps, tmp_path / "set", INFO)
     names = {f"leather_{kind}.exr" for kind in KINDS} | {"leather.json"}
     assert {f.name for f in (tmp_path / "set").iterdir()} == names
@@ -55,7 +55,7 @@ def test_the_folder_is_as_designed(tmp_path, maps):
             assert np.array_equal(stored, expected.astype(np.float16))
 
 
-def test_the_document_says_what_the_numbers_mean(tmp_path, maps):
+def test_the_document_states_units_and_ranges(tmp_path, maps):
     document = json.loads(write_mapset(maps, tmp_path, INFO).read_text())
     assert (document["width"], document["height"]) == (31, 20)
     assert (document["x"], document["y"], document["seed"]) == (-5, 2**33, 7)
@@ -295,7 +295,7 @@ def test_a_height_scale_is_heeded_and_numbers_nobody_knows_are_none(tmp_path, ma
     assert document["provenance"] == {"contrast": None, "list": [1, None]}
 
 
-def test_the_room_asked_for_is_enough(tmp_path, maps):
+def test_the_estimated_disk_space_suffices(tmp_path, maps):
     noise = maps.map(lambda m: torch.rand(m.shape[0], 200, 200))
     write_mapset(noise, tmp_path, INFO, png=True)
     taken = sum(f.stat().st_size for f in tmp_path.iterdir())
@@ -343,13 +343,13 @@ def test_the_worse_axis_counts():
     assert seam_ratio(maps.crop(0, 0, 100, 128)) > 2.0 < seam_ratio(maps.crop(0, 0, 128, 100))
 
 
-def test_maps_that_hold_nothing_have_no_seam():
+def test_constant_maps_have_no_seam():
     assert seam_ratio(MapSet.from_stacked(torch.full((6, 16, 16), 0.5), 0.1)) == pytest.approx(1.0)
     assert seam_ratio(MapSet.from_stacked(torch.zeros(6, 2, 2), 0.1)) == 1.0
 
 
 @pytest.mark.parametrize("circular", [True, False])
-def test_a_map_set_says_what_was_measured(tmp_path, circular):
+def test_a_map_set_records_its_seam(tmp_path, circular):
     maps = smooth(circular=circular)
     write_mapset(maps, tmp_path, MapSetInfo("a"))
     document = read_mapset(tmp_path)[1]

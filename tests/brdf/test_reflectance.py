@@ -57,7 +57,7 @@ def scalar(value, dtype=torch.float64):
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.9])
-def test_reciprocal(roughness):
+def test_reflectance_is_reciprocal(roughness):
     a, b = direction(1.2, 0.3), direction(0.4, 2.0)
     args = (scalar(0.3).expand(3, 1, 1), scalar(0.04), scalar(roughness), UP)
     assert torch.allclose(cook_torrance(*args, a, b), cook_torrance(*args, b, a), rtol=1e-10)
@@ -166,14 +166,14 @@ def _maps(least: float = 0.05, most: float = 0.95) -> MapSet:
     return MapSet.from_stacked(least + (most - least) * draw, TEXEL)
 
 
-def test_the_way_out_undoes_the_way_in() -> None:
+def test_log_parameters_and_maps_are_inverse() -> None:
     maps = _maps()
     parameters = SurfaceParameters.of(maps)
     assert torch.allclose(parameters.maps(TEXEL).stacked(), maps.stacked(), atol=1e-6)
     assert torch.equal(SurfaceParameters.from_stacked(maps.stacked()).stacked(), maps.stacked())
 
 
-def test_what_comes_out_is_within_the_limits_whatever_went_in() -> None:
+def test_maps_are_within_their_limits_for_any_log_parameters() -> None:
     wild = SurfaceParameters.from_stacked(200.0 * torch.randn(6, 8, 12))
     maps = wild.maps(TEXEL)
     for values, (least, most) in ((maps.diffuse, ALBEDO_LIMITS), (maps.specular, F0_LIMITS)):
@@ -185,7 +185,7 @@ def test_what_comes_out_is_within_the_limits_whatever_went_in() -> None:
     assert torch.allclose(back.roughness, torch.tensor([[ROUGHNESS_LIMITS]]), atol=1e-6)
 
 
-def test_departures_add_up() -> None:
+def test_log_parameter_residuals_are_added() -> None:
     maps = _maps()
     uniform = SurfaceParameters.uniform((0.3, 0.2, 0.1), 0.04, 0.5)
     residuals = SurfaceParameters.of(maps) - uniform
@@ -243,7 +243,7 @@ def test_each_channel_mirrors_by_itself():
 
 
 @pytest.mark.parametrize("channels", [1, 3])
-def test_a_folder_gives_back_as_many_channels(tmp_path, channels):
+def test_a_folder_reads_back_as_many_channels(tmp_path, channels):
     maps = drawn(channels)
     document = json.loads(write_mapset(maps, tmp_path, INFO).read_text())
     found, _ = read_mapset(tmp_path)
@@ -254,7 +254,7 @@ def test_a_folder_gives_back_as_many_channels(tmp_path, channels):
     assert ("Rec.709" in document["maps"]["specular"]["meaning"]) == (channels == 3)
 
 
-def test_pictures_are_red_green_and_blue(tmp_path):
+def test_written_pictures_are_in_rgb_order(tmp_path):
     maps = drawn(3)
     write_mapset(maps, tmp_path, INFO, png=True)
     (rgb,) = OpenEXR.File(str(tmp_path / "gold_specular.exr")).channels().values()
@@ -268,7 +268,7 @@ def test_pictures_are_red_green_and_blue(tmp_path):
     [(3, None, "3 channels instead of 1"),
      (3, 2, "neither 1 nor 3"), (3, True, "neither 1 nor 3"), (3, "3", "neither 1 nor 3")],
 )  # fmt: skip
-def test_what_is_stated_and_what_is_there_must_agree(tmp_path, channels, stated, said):
+def test_stated_and_stored_channels_must_agree(tmp_path, channels, stated, said):
     file = write_mapset(drawn(channels), tmp_path, INFO)
     document = json.loads(file.read_text())
     document.pop("specular_channels", None)

@@ -141,7 +141,7 @@ def test_an_unknown_exposure_is_measured():
     assert not merged.clipped[20:-20, 20:-20].any()
 
 
-def test_what_moved_is_left_out():
+def test_moved_parts_are_left_out():
     light = scene(peak=2.0)
     other = moved(light)[0].copy()
     other[60:120, 60:160] *= 3.0
@@ -209,7 +209,7 @@ def test_metadata_decides_before_pixels_do(tmp_path):
     assert [len(group) for group in find_brackets(paths)] == [1, 1, 1]
 
 
-def test_files_that_cannot_be_read_are_alone(tmp_path):
+def test_unreadable_files_are_no_bracket(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"no picture")
     paths = [tmp_path / "a.jpg", tmp_path / "missing.jpg"]
     assert find_brackets(paths) == [(path,) for path in paths]

@@ -34,7 +34,7 @@ def exemplar(kept):
 
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("variety", [0.0, 0.25, 1.0])
-def test_a_field_shows_nothing_that_was_not_photographed(exemplar, kept, turned, variety):
+def test_a_field_shows_photographed_texels_alone(exemplar, kept, turned, variety):
     whole, example = indexed(exemplar, (), turned=turned, kept=kept)
     assert whole.size == ((HEIGHT, WIDTH) if turned else (WIDTH, HEIGHT))
     maps = example.varied(variety).maps(3, Rectangle(0, 0, 300, 300), None)

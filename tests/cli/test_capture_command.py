@@ -72,7 +72,7 @@ def test_options_reach_the_pipeline(matcap, pipeline, photo, out):
     assert (asked.detail, asked.fov, asked.seed, asked.prior) == (512, 60.0, 3, "none")
 
 
-def test_properties_known_by_hand_reach_the_pipeline_and_the_report(matcap, pipeline, photo, out):
+def test_known_properties_reach_the_pipeline_and_the_report(matcap, pipeline, photo, out):
     said = matcap(
         "capture", photo, "-o", out, "--dielectric", "--albedo", "0.18", "--roughness", "0.4"
     )  # fmt: skip
@@ -84,7 +84,7 @@ def test_properties_known_by_hand_reach_the_pipeline_and_the_report(matcap, pipe
     assert "metal" not in CaptureSettings().named()
 
 
-def test_properties_by_hand_are_of_one_photograph(matcap, pipeline, photo, out):
+def test_known_properties_are_of_one_photograph_and_within_limits(matcap, pipeline, photo, out):
     other = photo.with_name("other.dng")
     other.write_text("a photograph")
     said = matcap("capture", photo, other, "--together", "-o", out, "--albedo", "0.18")
@@ -101,7 +101,7 @@ def test_maps_for_engines_stand_in_a_folder(matcap, pipeline, photo, out, form):
     assert "leather_height.png" in files and any("normal_gl" in name for name in files)
 
 
-def test_a_time_limit_below_the_shortest_capture_is_said_at_once(matcap, pipeline, photo, out):
+def test_a_too_short_time_limit_is_refused_at_once(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--time", "5s")
     assert said.code == 0 and "the shortest capture takes about 10 s" in said.err.splitlines()[0]
 
@@ -121,7 +121,7 @@ def test_the_preview_shows_eight_panels_and_their_crops(matcap, pipeline, photo,
         assert sheet.getpixel((270, 200)) == (137, 137, 137)
 
 
-def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
+def test_the_report_states_settings_and_results(matcap, pipeline, photo, out):
     options = ("--steps", 9, "--generator", "decoder")
     matcap("capture", photo, "-o", out, "--size", 16, *options)
     report = json.loads((out / "leather" / "report.json").read_text())
@@ -137,9 +137,7 @@ def test_the_report_holds_what_was_done(matcap, pipeline, photo, out):
     assert {"matcap", "torch", "python"} <= set(report["versions"])
 
 
-def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
-    matcap, pipeline, photo, out
-):
+def test_the_verdict_is_printed_and_strict_sets_the_exit_code(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
     assert (
@@ -151,7 +149,7 @@ def test_the_verdict_is_said_and_a_strict_user_hears_it_in_the_exit_code(
     assert matcap("capture", photo, "-o", out, *again).code == 3
 
 
-def test_json_goes_to_stdout_and_alone(matcap, pipeline, photo, out):
+def test_json_is_all_of_stdout(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16, "--json", "-q")
     (result,) = json.loads(said.out)["photographs"]
     assert said.err == ""
@@ -185,7 +183,7 @@ def test_long_work_is_shown_by_lines_where_there_is_no_terminal(monkeypatch, cap
     assert capsys.readouterr().err.split() == ["40.0%", "blending"]
 
 
-def test_what_was_noticed_when_reading_is_said(matcap, pipeline, photo, out):
+def test_notes_of_reading_are_printed(matcap, pipeline, photo, out):
     pipeline.notes = ("The file states no white balance: daylight (D65) assumed.",)
     said = matcap("capture", photo, "-o", out, "--size", 16, "--json")
     assert said.err.splitlines()[-1].strip() == pipeline.notes[0]
@@ -204,14 +202,14 @@ def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeli
     assert (out / "leather-2" / "leather-2.matcap").is_file()
 
 
-def test_one_bad_photograph_is_3_and_leaves_nothing(matcap, tmp_path, out):
+def test_one_bad_photograph_exits_with_3_and_leaves_nothing(matcap, tmp_path, out):
     said = matcap("capture", tmp_path / "none.dng", "-o", out)
     assert (said.code, said.out) == (3, "")
     assert said.err == f"matcap: {tmp_path / 'none.dng'}: there is no such file; check the name.\n"
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_others_go_on_and_some_failed_is_4(matcap, pipeline, photo, tmp_path, out):
+def test_other_photographs_go_on_and_the_exit_code_is_4(matcap, pipeline, photo, tmp_path, out):
     empty = tmp_path / "empty.dng"
     empty.touch()
     said = matcap("capture", empty, photo, "-o", out, "--size", 16, "--json")
@@ -222,7 +220,9 @@ def test_the_others_go_on_and_some_failed_is_4(matcap, pipeline, photo, tmp_path
     assert [f.name for f in out.iterdir()] == ["leather"]
 
 
-def test_an_interruption_saves_the_best_so_far_and_is_130(matcap, pipeline, photo, tmp_path, out):
+def test_an_interruption_saves_the_best_so_far_and_exits_with_130(
+    matcap, pipeline, photo, tmp_path, out
+):
     pipeline.interrupt = True
     said = matcap("capture", photo, photo, "-o", out, "--size", 16, "--json")
     assert said.code == 130
@@ -234,7 +234,9 @@ def test_an_interruption_saves_the_best_so_far_and_is_130(matcap, pipeline, phot
     assert read_mapset(out / "leather")[0].size == (16, 16)
 
 
-def test_an_early_interruption_is_130_and_leaves_nothing(matcap, pipeline, photo, tmp_path, out):
+def test_an_early_interruption_exits_with_130_and_leaves_nothing(
+    matcap, pipeline, photo, tmp_path, out
+):
     pipeline.failure = KeyboardInterrupt()
     said = matcap("capture", photo, photo, "-o", out, "--json")
     assert said.code == 130
@@ -243,7 +245,7 @@ def test_an_early_interruption_is_130_and_leaves_nothing(matcap, pipeline, photo
     assert list(tmp_path.iterdir()) == [photo]
 
 
-def test_a_bug_is_1_with_one_sentence(matcap, pipeline, photo, tmp_path, out, monkeypatch):
+def test_a_bug_exits_with_1_and_one_sentence(matcap, pipeline, photo, tmp_path, out, monkeypatch):
     monkeypatch.delenv("MATCAP_DEBUG", raising=False)
     pipeline.failure = RuntimeError("shapes do not match")
     said = matcap("capture", photo, "-o", out, "-q")
@@ -253,7 +255,7 @@ def test_a_bug_is_1_with_one_sentence(matcap, pipeline, photo, tmp_path, out, mo
     assert list(tmp_path.iterdir()) == [photo]
 
 
-def test_a_wrong_setting_is_2_even_when_only_the_pipeline_knows(matcap, pipeline, photo, out):
+def test_a_setting_refused_by_the_pipeline_exits_with_2(matcap, pipeline, photo, out):
     pipeline.failure = UsageError("no preset 'fast'", where="--preset", remedy="use draft")
     said = matcap("capture", photo, "-o", out, "-q")
     assert said.code == 2
@@ -288,9 +290,7 @@ def test_a_disk_that_fills_while_saving_leaves_nothing(
     assert list(tmp_path.iterdir()) == [photo]
 
 
-def test_the_first_map_set_repeats_unless_its_size_cannot_which_is_said(
-    matcap, pipeline, photo, out
-):
+def test_the_first_map_set_tiles_or_its_size_is_noted(matcap, pipeline, photo, out):
     assert "do not repeat" not in matcap("capture", photo, "-o", out, "--size", 32).err
     assert read_mapset(out / "leather" / "leather.json")[1]["periodic"] is True
     said = matcap("capture", photo, "-o", out, "--size", 40, "--overwrite")
@@ -363,7 +363,7 @@ def test_each_warning_says_what_to_do(captured):
     assert "tilted by 14 degrees" in said and "until it is parallel" in said
 
 
-def test_its_keys_are_those_of_the_reference_and_of_the_schema(captured, tmp_path):
+def test_keys_of_the_report_are_those_of_reference_and_schema(captured, tmp_path):
     write_report(captured, tmp_path / "report.json")
     check_report(tmp_path / "report.json")
     assert set(report_report(captured)) == keys("matcap.capture.report", "Keys")
@@ -376,7 +376,7 @@ def test_angles_are_in_degrees(captured):
     assert camera["tilt_degrees"] == pytest.approx([5.0, -10.0])
 
 
-def test_numbers_that_json_does_not_know_become_null(captured, tmp_path):
+def test_nan_and_infinity_become_null(captured, tmp_path):
     went = Tuning(((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
     odd = replace(captured, tuning=went)
     write_report(odd, tmp_path / "report.json")
@@ -446,7 +446,7 @@ def test_the_same_request_in_two_processes_gives_the_same_files(folder, matcap):
         assert filecmp.cmp(folder / "first" / name, folder / "second" / name, shallow=False)
 
 
-def test_a_command_that_read_pictures_ends_without_a_word_of_leaks(folder, matcap):
+def test_reading_pictures_leaks_no_warning_at_exit(folder, matcap):
     """Python is not to skip at its end what OpenImageIO then would miss."""
     made = matcap("synth", folder / "noise.matcap", "--size", "32x32", "-o", folder / "small")
     assert made.code == 0
@@ -460,6 +460,6 @@ def test_a_material_relights_without_a_map_set(matcap, folder):
     assert read_exr(picture).pixels.shape == (30, 40, 3)
 
 
-def test_a_material_is_for_everybody_whom_other_files_are_for(folder):
+def test_a_material_has_the_permissions_of_other_files(folder):
     (folder / "other").touch()
     assert (folder / "noise.matcap").stat().st_mode == (folder / "other").stat().st_mode

@@ -286,7 +286,7 @@ def test_the_text_names_the_command_that_installs_a_missing_extra(matcap, withou
     assert "All is well." in said.out
 
 
-def test_a_missing_need_is_a_fault(matcap, without):
+def test_a_missing_requirement_is_a_fault(matcap, without):
     without("rawpy")
     said = matcap("doctor")
     assert said.code == 3

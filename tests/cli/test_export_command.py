@@ -27,7 +27,7 @@ def material(tmp_path, monkeypatch):
     return path
 
 
-def test_loose_textures(matcap, folder):
+def test_loose_textures_are_exported(matcap, folder):
     said = matcap(
         "export", "set", "--to", "polyhaven", "--maps", "diffuse, normal", "--normal", "both",
         "--name", "{map}", "--bits", "8", "-o", "out", "-q",
@@ -51,7 +51,7 @@ def test_files_of_other_formats(matcap, folder):
     assert "--format: glTF cannot hold tx; give png, jpg or webp." in found.err
 
 
-def test_json_tells_what_is_lost(matcap, folder):
+def test_json_states_what_is_lost(matcap, folder):
     said = matcap("export", "set", "--to", "unity-hdrp", "--json", "--workflow", "metallic")
     assert (said.code, said.err) == (0, "")
     report = json.loads(said.out)
@@ -62,7 +62,7 @@ def test_json_tells_what_is_lost(matcap, folder):
     assert report["folder"] == "moss_unity-hdrp"
 
 
-def test_real_lengths(matcap, folder):
+def test_real_lengths_are_exported(matcap, folder):
     assert matcap("export", "set", "--to", "materialx", "--unit", 120).code == 0
     sidecar = json.loads((folder / "moss_materialx" / "moss_materialx.json").read_text())
     assert (sidecar["unit"], sidecar["tile"]) == ("mm", pytest.approx([240.0, 160.0]))
@@ -150,14 +150,14 @@ def test_failures_are_one_sentence_and_leave_nothing(matcap, folder, arguments, 
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_folder_without_maps(matcap, tmp_path):
+def test_a_folder_without_maps_is_refused(matcap, tmp_path):
     found = matcap("export", tmp_path, "--to", "usd", "-o", tmp_path / "out")
     assert found.code == 3
     assert "no map set and no material" in found.err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_synth_writes_for_other_programs_too(matcap, material, tmp_path):
+def test_synth_exports_too(matcap, material, tmp_path):
     said = matcap(
         "synth", material, "--size", "48x32", "--tile", "--mip", "-o", "set", "--export",
         "materialx", "-j", "1",
@@ -170,7 +170,7 @@ def test_synth_writes_for_other_programs_too(matcap, material, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
-def test_capture_writes_for_other_programs_too(matcap, pipeline, photo, tmp_path):
+def test_capture_exports_too(matcap, pipeline, photo, tmp_path):
     said = matcap(
         "capture", photo, "-o", tmp_path / "out", "--size", "32", "--export", "gltf",
         "--export", "unreal",
@@ -199,7 +199,7 @@ def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, fo
     assert matcap("export", "set", "--to", "gltf", "-o", "out", "--overwrite").code == 0
 
 
-def test_every_target_is_told_where_one_is_none_of_them(matcap, folder):
+def test_an_unknown_target_lists_all_targets(matcap, folder):
     from matcap.export.targets import TARGETS
 
     said = matcap("export", "set", "--to", "qqqqqq")

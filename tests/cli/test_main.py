@@ -37,7 +37,7 @@ def run(*arguments: str, code: str = COMMAND) -> subprocess.CompletedProcess[str
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_help_answers_at_once():
+def test_help_takes_at_most_three_times_the_import_of_numpy():
     """By the processor's clock, over that of importing NumPy: machines are not equally fast."""
 
     def seconds(code: str, *arguments: str) -> float:
@@ -65,7 +65,7 @@ def test_the_console_script_is_installed():
 
 
 @pytest.mark.parametrize("command", [[], ["capture"], ["synth"], ["relight"]])
-def test_every_command_explains_itself(matcap, command):
+def test_every_command_has_help(matcap, command):
     said = matcap(*command, "--help")
     assert said.code == 0
     assert "Usage: matcap" in said.out
@@ -101,7 +101,7 @@ def test_help_of_capture_begins_with_everyday_options(matcap):
         ["relight", ".", "-o", "a.gif"],
     ],
 )
-def test_wrong_usage_is_2(matcap, tmp_path, monkeypatch, arguments):
+def test_wrong_usage_exits_with_2(matcap, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     said = matcap(*arguments)
     assert said.code == 2
@@ -132,7 +132,9 @@ def failing(monkeypatch):
         (RuntimeError("oh"), 1, "internal error (RuntimeError: oh); please report it"),
     ],
 )
-def test_failures_are_sentences_and_codes(matcap, failing, monkeypatch, failure, code, said):
+def test_failures_are_one_sentence_with_the_right_exit_code(
+    matcap, failing, monkeypatch, failure, code, said
+):
     monkeypatch.delenv("MATCAP_DEBUG", raising=False)
     failing(failure)
     found = matcap("doctor")
@@ -142,7 +144,7 @@ def test_failures_are_sentences_and_codes(matcap, failing, monkeypatch, failure,
 
 
 @pytest.mark.parametrize("way", ["option", "environment"])
-def test_tracebacks_on_request(failing, monkeypatch, capsys, way):
+def test_tracebacks_are_shown_on_request(failing, monkeypatch, capsys, way):
     monkeypatch.setenv("MATCAP_DEBUG", "1" if way == "environment" else "0")
     failing(RuntimeError("oh"))
     assert main_module.main(["--debug", "doctor"] if way == "option" else ["doctor"]) == 1
@@ -208,7 +210,7 @@ def test_every_command_and_option_has_help(words):
     [words for words in LEAVES if words[0] not in TALKING],
     ids=" ".join,
 )
-def test_commands_that_write_can_be_quiet(words):
+def test_every_command_that_writes_has_quiet(words):
     options = {option for parameter in LEAVES[words].params for option in parameter.opts}
     assert {"-q", "--quiet"} <= options
 
@@ -216,7 +218,7 @@ def test_commands_that_write_can_be_quiet(words):
 @pytest.mark.parametrize(
     "environment", [{"NO_COLOR": "1", "FORCE_COLOR": "1"}, {"TERM": "dumb"}], ids=str
 )
-def test_no_colour_where_none_is_wanted(environment):
+def test_no_color_is_respected(environment):
     said = habits_run("export", "--help", **environment)
     assert said.returncode == 0
     assert "\x1b[3" not in said.stdout
@@ -244,7 +246,7 @@ def test_the_shell_completes(typed, offered):
     assert offered in said.stdout.split()
 
 
-def test_verbose_tells_the_cost_and_nothing_else(matcap):
+def test_verbose_adds_the_cost_alone(matcap):
     quiet, verbose = matcap("doctor", "--no-self-test"), matcap("-v", "doctor", "--no-self-test")
     assert verbose.out == quiet.out
     assert quiet.err == ""
@@ -293,7 +295,7 @@ QUICK = {
 }
 
 
-def test_every_line_runs_in_its_order(matcap, tmp_path, monkeypatch):
+def test_lines_of_the_readme_run_in_order(matcap, tmp_path, monkeypatch):
     """As written, but quickly; pages are only written, for nobody closes the others."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
@@ -376,7 +378,7 @@ def test_numbers_out_of_range_are_refused_before_any_work(matcap, place, words, 
     assert time.monotonic() - began < 20.0
 
 
-def test_options_are_looked_at_before_a_folder_that_is_there(matcap, place):
+def test_options_are_checked_before_existing_folders(matcap, place):
     assert matcap("synth", "a", "--size", "16", "-j", "1", "-o", "more", "-q").code == 0
     for wrong in (
         ("--scheduler", "nonsense"), ("--adjust", "relief=x"), ("--udim", "11x1"),
@@ -414,7 +416,7 @@ def test_several_lights_add_up(matcap, place):
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e400", "x", ""])
-def test_no_number_is_none(text):
+def test_nan_is_no_number(text):
     with pytest.raises(ValueError, match="is not"):
         values.number(0.0, 1.0)(text)
 

@@ -51,7 +51,8 @@ WRITERS = {
     "view": (("view", "set"), "index.html"),
     "blend": (("blend", "a.matcap", "b.matcap", "-t", "0.5"), "a_b_0.500.matcap"),
     "synth": (("synth", "a.matcap", "--size", "16", "-j", "1"), "a_height.exr"),
-    **{target: (("export", "set", "--to", target), None) for target in TARGETS},
+    # A target with documents of its own in both workflows, a preset, and one with a script.
+    **{to: (("export", "set", "--to", to), None) for to in ("usd", "polyhaven", "unreal")},
 }  # fmt: skip
 
 
@@ -74,7 +75,7 @@ def test_existing_files_are_replaced_with_overwrite_alone(matcap, place, writer)
     assert (out / file).read_bytes() != MINE
 
 
-def test_a_picture_in_the_folder_of_its_maps_may_be_drawn_again(matcap, place):
+def test_a_picture_in_the_folder_of_its_maps_is_replaced(matcap, place):
     for _ in range(2):
         words = ("relight", "set", "--size", "32", "-o", "set/relit.exr", "--overwrite")
         assert matcap(*words, "-q").code == 0

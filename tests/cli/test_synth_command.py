@@ -34,7 +34,7 @@ def assert_stored(maps, field):
         assert torch.allclose(getattr(maps, kind), getattr(field, kind), rtol=1e-3, atol=1e-7)
 
 
-def test_a_rectangle_of_the_field(matcap, material, tmp_path):
+def test_synth_writes_a_rectangle_of_the_field(matcap, material, tmp_path):
     said = matcap("synth", material, "--region", "100,-50,24,8", "--seed", 7, "-o", "set")
     assert (said.code, said.out) == (0, "")
     maps, document = read_mapset(tmp_path / "set")
@@ -54,7 +54,7 @@ def test_the_default_folder_is_named_after_the_request(matcap, material, tmp_pat
 @pytest.mark.parametrize(
     ("tile", "repeats"), [(["--tile"], "xy"), (["--tile", "x"], "x"), (["--tile", "y"], "y")]
 )
-def test_tiles_join(matcap, material, tmp_path, tile, repeats):
+def test_adjacent_rectangles_join_exactly(matcap, material, tmp_path, tile, repeats):
     # The lone --tile stands before the material: it must not take it for its value.
     assert matcap("synth", *tile, material, "--size", "48x32", "-o", "set", "-q").code == 0
     maps, document = read_mapset(tmp_path / "set")
@@ -100,7 +100,7 @@ def test_an_interrupted_run_goes_on(matcap, material, tmp_path, monkeypatch):
     assert len(list((tmp_path / "cut").iterdir())) == 7
 
 
-def test_failures_leave_nothing(matcap, material, tmp_path):
+def test_a_failed_synth_leaves_no_file(matcap, material, tmp_path):
     half = tmp_path / "half.matcap"
     half.write_bytes(material.read_bytes()[: material.stat().st_size // 2])
     for arguments, said, code in [
@@ -130,14 +130,14 @@ def test_failures_leave_nothing(matcap, material, tmp_path):
     assert sorted(tmp_path.iterdir()) == [half, material]
 
 
-def test_cuda_where_there_is_none(matcap, material, monkeypatch):
+def test_cuda_without_a_device_is_a_usage_error(matcap, material, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     said = matcap("synth", material, "--size", "8x8", "--device", "cuda")
     assert said.code == 2 and "--device: PyTorch sees no CUDA device; use cpu" in said.err
     assert matcap("synth", material, "--size", "8x8", "--device", "auto", "-o", "set").code == 0
 
 
-def test_default_folders_tell_what_differs(matcap, material, tmp_path):
+def test_default_folder_names_state_what_differs(matcap, material, tmp_path):
     for asked in (
         ("--region", "-8,4,32,16"), ("--size", "32x16", "--tile"), ("--size", "32x16", "--png"),
         ("--size", "32x16", "--generator", "decoder"),
@@ -154,7 +154,7 @@ def test_a_region_and_a_size_exclude_each_other(matcap, material):
     assert said.code == 2 and "--region: a rectangle already has a size" in said.err
 
 
-def test_a_run_that_begins_anew_says_that_it_could_go_on(matcap, material, tmp_path):
+def test_a_new_run_mentions_resume(matcap, material, tmp_path):
     part = tmp_path / "set" / ".leather.matcap-part"
     part.mkdir(parents=True)
     (part / "leather_height.exr").write_bytes(bytes(2_000_000))
@@ -177,7 +177,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "set"
 
 
-def test_the_current_folder_under_the_default_light(matcap, folder):
+def test_relight_without_arguments_relights_the_current_folder(matcap, folder):
     said = matcap("relight")
     assert (said.code, said.out) == (0, "")
     assert "relit.png" in said.err
@@ -187,7 +187,7 @@ def test_the_current_folder_under_the_default_light(matcap, folder):
     assert 105 < np.median(picture) < 131
 
 
-def test_linear_radiance_by_suffix_and_lights_by_place(matcap, folder):
+def test_exr_holds_linear_radiance_of_placed_lights(matcap, folder):
     for light, name in [("0,0,2,4", "near.exr"), ("0,0,2,8", "bright.exr"), ("left", "left.exr")]:
         assert matcap("relight", folder / "grey.json", "--light", light, "-o", name, "-q").code == 0
     near, bright = read_exr(folder / "near.exr").pixels, read_exr(folder / "bright.exr").pixels

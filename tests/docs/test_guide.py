@@ -50,7 +50,7 @@ def test_most_pages_of_the_guide_have_lines_to_run() -> None:
 
 
 @pytest.mark.parametrize("degrees", [10.0, -6.0])
-def test_a_pattern_shows_its_tilt(degrees):
+def test_the_guides_pattern_shows_its_tilt(degrees):
     """Stripes whose upper end is turned towards the camera are wider there."""
     distance, rows, columns = 1.54, 600, 800
     y, x = np.mgrid[0:rows, 0:columns] * 2.0 / columns
@@ -239,7 +239,7 @@ def steps() -> list[str]:
     return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 
 
-def test_the_effect_works_and_keeps_its_bound(steps, monkeypatch):
+def test_the_guides_own_effect_keeps_its_bound(steps, monkeypatch):
     effect, entry, scenes, reached, test = steps
     fuzz = ModuleType("fuzz")
     exec(compile(effect, "fuzz.py", "exec"), vars(fuzz))

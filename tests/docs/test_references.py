@@ -45,7 +45,7 @@ def test_pages_are_as_new_as_the_code(name):
     )
 
 
-def test_no_other_page_is_there():
+def test_there_is_no_other_reference_page():
     assert {file.name for file in FOLDER.iterdir()} == {*MAKE_REFERENCE_PAGES, *BY_HAND}
 
 
@@ -75,7 +75,7 @@ PARSERS = [
 
 
 @pytest.mark.parametrize(("name", "parser"), PARSERS, ids=[name for name, _ in PARSERS])
-def test_every_option_of_every_command_is_there(name, parser):
+def test_the_reference_has_every_option_of_every_command(name, parser):
     section = commands.page().split(f"\n## {name}\n")[1].split("\n## ")[0]
     for parameter in parser.params:
         if parameter.param_type_name == "option" and parameter.name not in (
@@ -85,7 +85,7 @@ def test_every_option_of_every_command_is_there(name, parser):
                 assert f"`{option}`" in section
 
 
-def test_what_the_python_guide_imports_is_there():
+def test_the_reference_has_what_the_python_guide_imports():
     guide = (FOLDER.parent / "guide" / "python.md").read_text(encoding="utf-8")
     snippets = "\n".join(re.findall(r"```python\n(.*?)```", guide, re.DOTALL))
     imported = [node for node in ast.walk(ast.parse(snippets)) if isinstance(node, ast.ImportFrom)]
@@ -94,18 +94,18 @@ def test_what_the_python_guide_imports_is_there():
         assert {name.name for name in node.names} <= set(interface.MODULES[node.module])
 
 
-def test_every_argument_and_field_is_explained():
+def test_the_reference_explains_every_argument_and_field():
     # A row that ends without words has no docstring behind it.
     bare = re.findall(r"^\| `\w+` .*\|  \|$", interface.page(), re.MULTILINE)
     assert bare == []
 
 
-def test_every_exit_code_is_there():
+def test_the_reference_has_every_exit_code():
     codes = re.findall(r"^\| (\d+) \| `\w+` \| \S", exit_codes.page(), re.MULTILINE)
     assert [int(code) for code in codes] == list(ExitCode)
 
 
-def test_a_material_holds_what_is_told(small, tmp_path):
+def test_a_material_holds_what_the_reference_states(small, tmp_path):
     maps = small.maps(96, 96)
     piece = Exemplar(
         *(getattr(maps, name).numpy() for name in CHANNELS),
@@ -126,7 +126,7 @@ def test_a_material_holds_what_is_told(small, tmp_path):
     assert all(any(re.fullmatch(key, name) for name in tensors) for key in result)
 
 
-def test_a_map_set_and_its_exports_hold_what_is_told(small, tmp_path, monkeypatch):
+def test_a_map_set_and_its_exports_hold_what_the_reference_states(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     maps, result = small.maps(32, 32), formats.keys("matcap.brdf.folder", "Keys")
     file = write_mapset(maps, "leather", MapSetInfo("leather"), png=True)
@@ -143,7 +143,7 @@ def test_a_map_set_and_its_exports_hold_what_is_told(small, tmp_path, monkeypatc
     assert found == formats.keys("matcap.export.targets", "Keys")
 
 
-def test_a_page_for_sending_holds_what_is_told(small, tmp_path, monkeypatch):
+def test_a_self_contained_page_holds_what_the_reference_states(small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     small.save("leather.matcap")
     assert main(["view", "leather.matcap", "--html", "page.html", "--tile", "32", "-q"]) == 0
@@ -152,7 +152,7 @@ def test_a_page_for_sending_holds_what_is_told(small, tmp_path, monkeypatch):
     assert set(json.loads(about)["tile"]) == formats.keys("matcap.view.document", "Tile")
 
 
-def test_scenes_take_the_keys_that_are_told():
+def test_scenes_take_the_keys_of_the_reference():
     kinds = {Film, Camera, Surface, *get_args(Light)}
     for kind in kinds:
         assert {field.name for field in fields(kind)} == set(field_docs(kind))
@@ -176,7 +176,7 @@ class Told:
     """
 
 
-def test_docstrings_are_taken_apart():
+def test_docstrings_are_parsed():
     found = docstrings.read(Told)
     assert found.text == "One line.\n\nMore of it.\n\nThe end."
     assert found.entries("Args") == {
@@ -286,7 +286,7 @@ def faults(check: Callable[[Path], Iterable[str]]) -> dict[str, list[str]]:
     return {name: wrong for name, wrong in found.items() if wrong}
 
 
-def test_files_and_pages_that_are_named_exist():
+def test_named_files_and_pages_exist():
     assert faults(dead_paths) == {}
 
 
@@ -324,7 +324,7 @@ def dead_modules(file: Path) -> list[str]:
     return [name for name in named if not exists(name)]
 
 
-def test_modules_that_are_named_exist():
+def test_named_modules_exist():
     assert faults(dead_modules) == {}
 
 
@@ -351,11 +351,11 @@ def mentioned(file: Path) -> set[str]:
     }
 
 
-def test_papers_that_are_named_are_in_the_bibliography():
+def test_cited_papers_are_in_the_bibliography():
     assert faults(lambda file: (cited(file) | mentioned(file)) - keys()) == {}
 
 
-def test_no_entry_is_cited_nowhere():
+def test_every_entry_of_the_bibliography_is_cited():
     used = set().union(*(cited(file) | mentioned(file) for file in FILES))
     assert sorted(keys() - used) == []
 

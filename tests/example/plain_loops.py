@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from matcap.example.blend import CHANNELS, NODES
 from matcap.example.candidates import (
+    COST_BITS,
     DIMENSIONS,
     LARGEST,
     PLANES,
@@ -15,7 +16,6 @@ from matcap.example.candidates import (
     padded,
 )
 from matcap.example.coordinates import REACH, SUBPASSES, Places, margin
-from matcap.example.grids import COST_BITS
 from matcap.example.index import Level
 from matcap.example.lattice import Phases
 

@@ -10,17 +10,29 @@ import plain_loops as plain
 import pytest
 import torch
 from exemplars import PERIODS, a_coloured_example, an_example, blobs, exemplar, ordered
+from materials import a_material
 from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 
 from matcap.errors import UsageError
 from matcap.example.blend import BAND_LEVELS, BANDS, ExemplarBands, Nodes, Votes, bands_of, blended
-from matcap.example.candidates import DIMENSIONS, LARGEST, LIMIT, PLANES, TAPS, Basis, project
+from matcap.example.candidates import (
+    COST_BITS,
+    DIMENSIONS,
+    LARGEST,
+    LIMIT,
+    PLANES,
+    TAPS,
+    Basis,
+    Frame,
+    project,
+)
 from matcap.example.coordinates import coordinates, correct
 from matcap.example.example import Example, coarsened
-from matcap.example.grids import COST_BITS, Frame
 from matcap.example.index import PENALTY_BITS, Level, build_index, prepare
 from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle
+from matcap.synth.plan import open_field
+from matcap.synth.request import SynthRequest
 
 # The field by example is one function of texel and seed, made of the exemplar's own pieces.
 
@@ -36,9 +48,16 @@ EXAMPLES = pytest.mark.parametrize("example", _KINDS.values(), ids=_KINDS)
 
 
 @pytest.mark.parametrize(
-    "example", [*_KINDS.values(), an_example().varied(0.0)], ids=[*_KINDS, "repeated"]
+    ("example", "place"),
+    [
+        (_KINDS["blobs"], 2**31),
+        (_KINDS["bricks"], 2**40 - 300),
+        (_KINDS["large-blobs"], 0),
+        (_KINDS["large-bricks"], 2**40 - 300),
+        (an_example().varied(0.0), 2**31),
+    ],
+    ids=[*_KINDS, "repeated"],
 )
-@pytest.mark.parametrize("place", [0, 2**31, 2**40 - 300])
 def test_any_rectangle_order_and_count_of_workers_gives_the_same_bits(example, place):
     source = replace(example.source(5), grid=Grid(96, 64))
     area = Rectangle(place - 40, -place + 30, 260, 170)
@@ -63,7 +82,7 @@ def test_other_blocks_are_the_same_field(example):
 
 
 @EXAMPLES
-def test_seeds_are_other_pieces(example):
+def test_seeds_give_different_fields(example):
     one, other = (example.maps(seed, Rectangle(0, 0, 96, 96), None) for seed in (1, 2))
     assert np.abs(one - other).mean() > 0.3 * one.std(axis=(1, 2)).mean()
 
@@ -88,7 +107,7 @@ def test_periods_and_seeds_out_of_range_are_refused():
         an_example().source(2**63)
 
 
-def test_texels_are_the_exemplars_about_its_own_level():
+def test_a_field_correlates_with_the_texels_it_places():
     example = an_example()
     area = Rectangle(0, 0, 64, 48)
     maps, places = example.maps(9, area, None), example.places(9, area, None)
@@ -102,13 +121,13 @@ def test_texels_are_the_exemplars_about_its_own_level():
     assert height.mean() > 3.0 * height.std()
 
 
-def test_pieces_are_of_many_texels():
+def test_patches_have_many_texels():
     places = an_example().places(9, Rectangle(0, 0, 256, 256), None).astype(int)
     joined = (np.diff(places, axis=1) == [1, 0]).all(-1)
     assert 0.7 < joined.mean() < 0.99
 
 
-def test_no_piece_begins_where_nothing_is_known():
+def test_patches_hardly_begin_at_texels_without_confidence():
     doubted = blobs()
     trust = np.ones_like(doubted.confidence)
     trust[:, :, 88:] = 0.0
@@ -119,7 +138,7 @@ def test_no_piece_begins_where_nothing_is_known():
     assert (free < 96).mean() < 0.8
 
 
-def test_half_of_a_piece_costs_nothing_however_little_it_is_trusted():
+def test_at_least_half_of_the_places_have_no_placement_cost():
     """A third is well seen, the rest worse and worse."""
     doubted = blobs()
     trust = np.ones_like(doubted.confidence)
@@ -129,7 +148,7 @@ def test_half_of_a_piece_costs_nothing_however_little_it_is_trusted():
     assert not priced[:, :22].any() and priced[:, 23:].all()
 
 
-def test_a_mark_that_occurs_once_is_left_out_and_told():
+def test_a_mark_that_occurs_once_is_left_out_and_reported():
     marked = blobs()
     marked.diffuse[:, 60:84, 60:84] = 0.0
     marked.roughness[:, 60:84, 60:84] = 1.0
@@ -155,7 +174,7 @@ def test_a_broad_stain_is_left_out_and_many_specks_are_not():
     assert inside.mean() < 0.1 * np.pi * 24.0**2 / (352 * 288)
 
 
-def test_order_neither_drifts_nor_breaks():
+def test_a_lattice_neither_drifts_nor_breaks():
     """Phases of what is shown, against those of the ideal lattice, 16384 texels apart."""
     example = ordered()
     lattice = example.index.lattice
@@ -203,7 +222,7 @@ def test_a_lattice_keeps_its_phase_over_sixteen_thousand_texels(size, periods):
         assert np.abs((drift + 0.5) % 1.0 - 0.5).max() < 0.1
 
 
-def test_order_is_found_where_it_was_bent():
+def test_a_bent_lattice_is_followed():
     example = ordered()
     x = np.arange(30, 210)
     phases = example.index.lattice.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
@@ -227,7 +246,7 @@ def test_detail_is_read_at_the_exemplars_own_resolution(monkeypatch):
 
 
 @EXAMPLES
-def test_the_plain_form_is_the_field(example, monkeypatch):
+def test_the_field_equals_the_plain_implementation(example, monkeypatch):
     lookup = prepare(example.exemplar, example.index, example.variety)
     draws = random.Random(3)
     for period in (None, (80, 48), (None, 112), None):
@@ -242,7 +261,7 @@ def test_the_plain_form_is_the_field(example, monkeypatch):
         assert np.array_equal(found, expected)
 
 
-def test_it_needs_no_torch():
+def test_a_field_by_example_needs_no_torch():
     modules = "matcap.example.exemplar, matcap.synth.stream, matcap.relight.texture"
     program = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0
@@ -366,14 +385,14 @@ def halves(piece, left, right, alike=UNLIKE):
 
 @pytest.mark.parametrize("example", [an_example, a_coloured_example, ordered])
 @pytest.mark.parametrize("period", [None, (176, 144), (48, 80)])
-def test_the_loop_is_the_plain_one_to_the_bit(example, period, monkeypatch):
+def test_the_compiled_loop_equals_the_plain_one_bit_for_bit(example, period, monkeypatch):
     area = Rectangle(-37, 501, 90, 70)
     found = example().maps(3, area, period)
     monkeypatch.setattr("matcap.example.example.blended", plain.blended)
     assert np.array_equal(found, example().maps(3, area, period))
 
 
-def test_detail_is_blended_as_it_is_plainly(monkeypatch):
+def test_compiled_blending_equals_the_plain_one(monkeypatch):
     monkeypatch.setattr("matcap.example.example._GRID", 128)
     example = Example.of(blobs())
     area = Rectangle(11, -23, 90, 70)
@@ -400,7 +419,7 @@ def test_bands_add_up_to_what_is_shown():
     assert np.abs(rest - smooth).max() < 3e-4 * np.abs(logs).max()
 
 
-def test_what_is_not_rearranged_is_the_exemplar_to_the_bit():
+def test_texels_away_from_a_seam_are_the_exemplars_bit_for_bit():
     found, plainly = halves(blobs(500, 300), (90, 80), (90, 80))
     assert np.array_equal(found, plainly)
     found, plainly = halves(blobs(500, 300), (90, 80), (150, 100))
@@ -411,7 +430,7 @@ def test_what_is_not_rearranged_is_the_exemplar_to_the_bit():
     assert not changed[: middle - far].any() and not changed[middle + far :].any()
 
 
-def test_a_step_of_colour_and_height_becomes_a_slope():
+def test_a_step_at_a_seam_becomes_gradual():
     step = np.where(np.arange(800) < 400, -0.7, 0.7)[None].repeat(300, axis=0)
     piece = exemplar(np.stack([step] * 4))
     found, plainly = halves(piece, (90, 80), (400, 80))
@@ -422,7 +441,7 @@ def test_a_step_of_colour_and_height_becomes_a_slope():
         assert np.array_equal(ends, plainly[index][60, [0, -1]])
 
 
-def test_contrast_is_kept_where_pieces_meet():
+def test_blending_keeps_contrast():
     """Of unrelated pieces: their mean has seven tenths of it. And none is added to related ones."""
     piece, seam = blobs(900, 400), slice(SIZE[0] // 2 - 2, SIZE[0] // 2 + 2)
 
@@ -459,8 +478,17 @@ def test_nodes_repeat_with_the_field_and_weigh_one(band, period):
     assert np.array_equal(axis.at + (period or spacing), again.at)
 
 
-def test_parts_are_the_whole_where_pieces_are_small():
+def test_parts_equal_the_whole_with_small_patches():
     example = replace(an_example(), variety=1.0)
     whole = example.maps(6, Rectangle(-90, -70, 300, 200), None)
     part = example.maps(6, Rectangle(-11, 13, 71, 40), None)
     assert np.array_equal(part, whole[:, 83:123, 79:150])
+
+
+def test_a_field_by_example_refuses_cuda_and_accepts_the_cpu(tmp_path):
+    path = tmp_path / "blobs.matcap"
+    a_material("blobs", example=an_example()).save(path)
+    asked = SynthRequest(path, Rectangle(0, 0, 8, 8), device="cpu")
+    open_field(asked)
+    with pytest.raises(UsageError, match="--device: only the decoder"):
+        open_field(replace(asked, device="cuda"))

@@ -14,6 +14,7 @@ from matcap.capture.exemplar.estimate import indexed
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.example.candidates import (
+    PatchSizes,
     choose_basis,
     choose_scale,
     features_of,
@@ -25,7 +26,6 @@ from matcap.example.coordinates import correct
 from matcap.example.example import Example, summary
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.grids import PatchSizes
 from matcap.example.index import prepare
 from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
 from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety
@@ -50,7 +50,7 @@ def test_a_file_gives_back_the_same_field(example):
 
 
 @pytest.mark.parametrize("size", [(114, 113), (97, 128)])
-def test_a_file_is_read_again_whatever_the_sides_of_its_piece(size):
+def test_files_of_any_exemplar_size_are_read_back(size):
     """Grids of its levels are rounded down at each, which is less than by all at once."""
     piece = blobs(*size)
     example = Example.of(piece)
@@ -122,7 +122,7 @@ def test_the_compiled_correction_is_the_plain_one_from_any_beginning(example):
         assert (found != places[16:-16, 16:-16]).any()
 
 
-def test_similar_places_are_among_the_most_similar_there_are():
+def test_candidates_are_among_the_most_similar_places():
     found = project(features(), choose_basis(features(), 1))[::2, ::2]
     similar = find_candidates(found, 4, (slice(2, 70), slice(2, 86)))
     rows, columns = np.mgrid[0 : found.shape[0], 0 : found.shape[1]]
@@ -139,7 +139,7 @@ def test_similar_places_are_among_the_most_similar_there_are():
     assert np.median(ratios) < 3.5
 
 
-def test_without_compiled_loops_a_sentence_says_what_to_do(monkeypatch):
+def test_missing_compiled_loops_are_one_sentence(monkeypatch):
     monkeypatch.setattr("matcap.example.library.built", lambda: None)
     with pytest.raises(MatcapError, match="C compiler"):
         Example.of(blobs())
@@ -206,13 +206,13 @@ def joined(example, side=384):
 
 
 @pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
-def test_less_variety_is_larger_pieces(example):
+def test_less_variety_has_larger_patches(example):
     shares = [joined(example.varied(variety)) for variety in (0.0, 0.3, 1.0)]
     assert shares[0] > shares[1] > shares[2]
     assert shares[0] > 0.97
 
 
-def test_pieces_shrink_from_the_whole_frame_to_those_of_full_variety():
+def test_patches_shrink_from_the_whole_frame_to_the_least_size():
     lookup = an_example().lookup
     level = lookup.levels[-1]
     sizes = [PatchSizes.of(level.frame, level.spacing, None, one / 8) for one in range(9)]
@@ -247,7 +247,7 @@ def test_the_least_variety_repeats_the_exemplar(example):
 
 @pytest.mark.parametrize("variety", [0.0, 0.5])
 @pytest.mark.parametrize("period", [(80, 48), (416, 304), (None, 304)])
-def test_larger_pieces_repeat_exactly_too(variety, period):
+def test_large_patches_repeat_exactly_too(variety, period):
     maps = an_example().varied(variety).maps(3, Rectangle(-33, 7, 500, 350), period)
     columns, rows = period
     if columns:
@@ -309,7 +309,7 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
     [ordered().varied(0.3), ordered(480, 320, (24.0, 24.0), 0.5).varied(0.1)],
     ids=["nearly-straight", "bent"],
 )
-def test_a_lattice_keeps_its_phase_in_larger_pieces(example):
+def test_a_lattice_keeps_its_phase_in_large_patches(example):
     lattice = example.index.lattice
     for x, y in ((0, 0), (16384, -16384), (2**40 - 128, 2**39)):
         places = example.places(3, Rectangle(x, y, 192, 192), None).astype(np.int64)
@@ -324,7 +324,7 @@ def test_a_lattice_keeps_its_phase_in_larger_pieces(example):
 @pytest.mark.parametrize(
     "bend, spread, bent", [(0.5, 0.0, True), (0.0, 0.0, False), (0.5, 0.3, False)]
 )
-def test_offsets_that_jump_are_errors_and_no_bend(bend, spread, bent):
+def test_jumps_of_the_phase_are_not_taken_for_bending(bend, spread, bent):
     lattice = ordered(480, 320, (24.0, 24.0), bend).index.lattice
     jumps = np.random.default_rng(0).standard_normal(lattice.phase_offsets.shape) * spread
     moved = lattice.phase_offsets + np.rint(2**16 * (jumps + np.rint(9 * jumps))).astype(np.int32)
@@ -367,7 +367,7 @@ def test_a_lattice_of_large_cells_is_no_plaid():
     assert not is_plaid(Example.of(plaid(), ((1 / 40, 0.0), (0.0, 1 / 40))))
 
 
-def test_what_has_no_long_structure_is_taken_apart_and_boards_are_not():
+def test_only_long_structures_get_large_patches():
     assert with_chosen_variety(Example.of(blobs(512, 384))).variety == 1.0
     boards = Example.of(stripes())
     long, tries = variety_trials(boards)
@@ -376,7 +376,7 @@ def test_what_has_no_long_structure_is_taken_apart_and_boards_are_not():
     assert with_chosen_variety(boards).variety < 1.0
 
 
-def test_the_summary_says_how_large_pieces_are():
+def test_the_summary_states_the_patch_size():
     whole, small = summary(an_example().varied(0.0)), summary(an_example())
     assert whole.patches[0] > small.patches[0]
     assert "% of the photograph" in whole.patches_text()
@@ -467,7 +467,7 @@ def test_the_shortest_waves_of_a_lattice_are_followed():
         (woven(bend=12.0), ()),
     ],
 )
-def test_other_exemplars_are_left_alone(exemplar, waves):
+def test_exemplars_without_a_fine_lattice_are_not_straightened(exemplar, waves):
     assert straightened(exemplar, waves) is None
 
 

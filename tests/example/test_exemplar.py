@@ -46,7 +46,7 @@ def same(first, second):
     )
 
 
-def test_a_file_gives_back_what_rounding_says():
+def test_a_file_reads_back_the_rounded_maps():
     exemplar = an_exemplar()
     assert same(reread(exemplar), exemplar.rounded())
     assert same(exemplar.rounded().rounded(), exemplar.rounded())
@@ -147,7 +147,7 @@ def test_a_material_without_an_exemplar_is_its_decoder():
         material.maps(24, 16, generator="example")
 
 
-def test_a_material_without_an_exemplar_is_synthesised_and_told_of(tmp_path, capsys):
+def test_a_material_without_an_exemplar_is_synthesised_with_a_note(tmp_path, capsys):
     words = [str(BEFORE), "--size", "32x16", "-q", "-o", str(tmp_path / "set")]
     assert main(["synth", *words]) == 0
     assert main(["synth", *words, "--generator", "example"]) == 2
@@ -156,7 +156,7 @@ def test_a_material_without_an_exemplar_is_synthesised_and_told_of(tmp_path, cap
     assert "without an exemplar" in capsys.readouterr().out
 
 
-def test_an_inspection_tells_what_is_left_out(tmp_path, capsys):
+def test_inspect_states_what_is_left_out(tmp_path, capsys):
     marked = blobs()
     marked.diffuse[:, 60:84, 60:84] = 0.0
     marked.roughness[:, 60:84, 60:84] = 1.0
@@ -175,7 +175,7 @@ def test_an_inspection_tells_what_is_left_out(tmp_path, capsys):
     assert main(["inspect", *files]) == 4
 
 
-def test_a_worker_that_was_sent_the_source_computes_the_same(first):
+def test_a_pickled_source_computes_the_same_bits(first):
     source = first.part(Example).source(5, (96, None))
     block = Rectangle(-64, 32, 80, 48)
     again = pickle.loads(pickle.dumps(source))
@@ -202,7 +202,7 @@ def test_files_are_the_same_whoever_writes_them(first, tmp_path):
 AREA = Rectangle(-30, 20, 150, 90)
 
 
-def test_a_file_gives_back_three_channels():
+def test_three_channels_of_f0_are_read_back():
     exemplar = coloured(blobs())
     found = reread(exemplar)
     assert found.specular.shape == (3, *exemplar.height.shape[1:])
@@ -236,7 +236,7 @@ def test_metals_are_compared_by_their_colour():
     assert apart.max() > 32  # a standard deviation
 
 
-def test_what_is_no_metal_is_compared_as_it_was():
+def test_a_coloured_f0_leaves_the_compared_grey_planes_as_they_are():
     piece = blobs()
     planes, hue = planes_of(piece), planes_of(coloured(piece))
     assert np.array_equal(planes[:3], np.sqrt(piece.diffuse))
@@ -245,7 +245,7 @@ def test_what_is_no_metal_is_compared_as_it_was():
     np.testing.assert_allclose(hue[3], planes[3], rtol=1e-6)
 
 
-def test_a_field_shows_the_exemplars_own_colours_whoever_asks():
+def test_a_field_has_the_f0_colours_of_its_exemplar():
     example = a_coloured_example()
     maps = example.maps(5, AREA, None)
     assert len(maps) == 8
@@ -263,7 +263,7 @@ def test_a_field_shows_the_exemplars_own_colours_whoever_asks():
     assert np.array_equal(planes[7], example.maps(5, Rectangle(0, 0, 64, 32), None)[-1])
 
 
-def test_the_piece_repeats_in_its_colours():
+def test_the_tiled_exemplar_keeps_its_f0_colour():
     grey, hue = an_example().repeating(), a_coloured_example().repeating()
     assert len(hue.specular) == 3 and hue.periodic and len(grey.specular) == 1
     exemplar = a_coloured_example().exemplar
@@ -275,7 +275,7 @@ def test_the_piece_repeats_in_its_colours():
 
 
 @pytest.mark.parametrize("words", [[], ["--mip", "--png"], ["--tile", "piece"]])
-def test_what_is_written_has_its_colour(tmp_path, words):
+def test_written_maps_keep_the_f0_colour(tmp_path, words):
     path = tmp_path / "gold.matcap"
     material = a_material("gold", example=a_coloured_example())
     material.save(path)
@@ -296,7 +296,7 @@ def test_what_is_written_has_its_colour(tmp_path, words):
         )
 
 
-def test_an_inspection_and_a_comparison_show_the_colour(tmp_path, capsys):
+def test_inspect_shows_the_f0_colour(tmp_path, capsys):
     from matcap.capture.preview import each_map
 
     hue, grey = a_coloured_example(), an_example()

@@ -36,14 +36,14 @@ def deviations(exemplar, channels):
     ]
 
 
-def test_at_its_ends_it_is_what_was_given():
+def test_the_ends_are_the_given_exemplars():
     first, second = blobs(), dark_bricks()
     assert interpolated(first, second, 0.0) is first
     assert interpolated(first, second, 1.0) is second
 
 
 @pytest.mark.parametrize(("share", "end"), [(0.02, blobs), (0.98, dark_bricks)])
-def test_near_an_end_it_is_nearly_that_end_texel_by_texel(share, end):
+def test_near_an_end_texels_are_nearly_those_of_that_end(share, end):
     near, own = at(share).stacked(), end().stacked()
     for plane, given in zip(near, own, strict=True):
         assert np.corrcoef(plane.ravel(), given.ravel())[0, 1] > 0.98
@@ -51,7 +51,7 @@ def test_near_an_end_it_is_nearly_that_end_texel_by_texel(share, end):
 
 
 @pytest.mark.parametrize("channels", [DIFFUSE, ROUGHNESS])
-def test_means_go_from_one_to_the_other(channels):
+def test_means_are_interpolated(channels):
     means = [float(at(share).stacked()[channels].mean()) for share in SHARES]
     assert means in (sorted(means), sorted(means, reverse=True))
 
@@ -67,7 +67,7 @@ def test_values_have_the_interpolated_distribution():
     assert found == pytest.approx((ends[0] + ends[1]) / 2.0, abs=2e-3)
 
 
-def test_patterns_lie_on_each_other():
+def test_patterns_are_registered_before_they_are_mixed():
     drawings = patterns_of(blobs(), dark_bricks())
     rows, columns = blobs().height.shape[1:]
     by_chance = np.corrcoef(drawings[0].ravel(), drawings[1][:rows, :columns].ravel())[0, 1]
@@ -83,7 +83,7 @@ def test_patterns_lie_on_each_other():
         assert joined.mean() > 0.5
 
 
-def test_twice_it_is_the_same():
+def test_interpolation_is_deterministic():
     again = interpolated(blobs(), dark_bricks(), 0.5)
     assert np.array_equal(again.stacked(), at(0.5).stacked())
     assert not np.array_equal(again.stacked(), at(0.25).stacked()[:, :144, :176])
@@ -137,7 +137,7 @@ def test_exemplars_of_any_shape_are_interpolated():
         assert np.isfinite(middle.stacked()).all()
 
 
-def test_without_a_pattern_there_is_none_in_between():
+def test_exemplars_without_a_pattern_blend_to_their_means():
     means = {name: getattr(blobs(), name).mean(axis=(1, 2), keepdims=True) for name in CHANNELS}
     flat = replace(
         blobs(), **{name: mean.repeat(144, 1).repeat(176, 2) for name, mean in means.items()}

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from exemplars import an_example, exemplar
 
-from matcap.example.candidates import planes_of
+from matcap.example.candidates import Frame, planes_of
 from matcap.example.example import Example
-from matcap.example.grids import Frame
 from matcap.example.placement import (
     PatchNumbers,
     Placement,
@@ -73,7 +72,7 @@ def field_of(example, seed=1):
     return example.maps(seed, Rectangle(0, 0, 768, 576), None)[-1]
 
 
-def test_a_field_of_combed_relief_is_no_quilt():
+def test_relief_with_a_trend_of_direction_makes_no_quilt():
     piece = combed()
     made = Example.of(piece)
     without = replace(made, index=replace(made.index, penalty=0 * made.index.penalty))
@@ -86,7 +85,7 @@ def test_material_without_a_trend_has_no_penalty():
     assert trend_penalty(planes_of(piece), np.ones(squares(piece), bool)).max() == 0.0
 
 
-def test_what_one_side_lacks_is_still_shown():
+def test_a_side_with_marks_of_its_own_is_shown_as_often():
     # The left has scratches, which is no trend that exceeds what the rest of the variation does.
     piece = even()
     random = np.random.default_rng(7)
@@ -166,7 +165,7 @@ def test_means_of_costs_are_those_of_what_a_patch_shows():
     assert (Placement.of(cost, 1, (32, 16), None).cost == cost).all()
 
 
-def test_a_file_without_a_rule_has_the_first():
+def test_a_file_without_a_placement_rule_has_rule_1():
     example = an_example()
     tensors, about = example.stored()
     assert about["index"]["placement"] == example.index.rule == 2

@@ -34,7 +34,7 @@ def steps(plane, axis):
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_steps_across_the_border_are_those_inside(material):
+def test_gradients_across_the_border_equal_those_inside(material):
     maps = of(material).maps
     for channels in MAPS:
         for axis in (1, 2):
@@ -43,7 +43,7 @@ def test_steps_across_the_border_are_those_inside(material):
 
 
 @pytest.mark.parametrize("material", MATERIALS[:-1])  # whose joints cuts run along
-def test_steps_across_the_cuts_are_those_elsewhere(material):
+def test_gradients_across_the_cuts_equal_those_elsewhere(material):
     found = of(material)
     for channels in MAPS:
         both = sum(steps(found.maps[channels], axis).mean(axis=0) for axis in (1, 2))
@@ -60,12 +60,12 @@ def test_cuts_along_joints_are_no_steeper_than_joints():
         assert made <= 1.05 * there
 
 
-def test_most_of_the_piece_is_kept():
+def test_most_of_the_exemplar_is_kept():
     rows, columns = of("leather").cut.shape
     assert 0.6 * 256 < rows < 256 and 0.6 * 320 < columns < 320
 
 
-def test_what_is_slow_is_taken_and_stains_stay():
+def test_slow_drift_is_removed_and_stains_stay():
     piece = true_exemplar("plaster", 256, 192, detail=512).stacked()
     x = np.linspace(-1.0, 1.0, 256, dtype=np.float32)
     drifting = piece.copy()
@@ -89,7 +89,7 @@ def test_a_stain_occurs_once():
     assert dark.sum() == pytest.approx(144, rel=0.2)
 
 
-def test_a_lattice_is_closed_to_whole_periods():
+def test_a_lattice_is_cut_to_whole_periods():
     example = ordered()
     found = repeated(example.exemplar.stacked(), example.exemplar.texel_size, example.index.lattice)
     for side, period in zip(found.cut.shape[::-1], PERIODS, strict=True):
@@ -114,7 +114,7 @@ def test_the_cheapest_cut_is_found_and_closes():
     assert less <= cost and len(free) == 40
 
 
-def test_what_repeats_already_is_left_as_it_is():
+def test_an_exemplar_that_tiles_is_unchanged():
     y, x = np.mgrid[0:40, 0:60]
     random = np.random.default_rng(5).uniform(0.2, 0.8, (6, 40, 60)).astype(np.float32)
     twice = np.tile(random, (1, 2, 2))
@@ -134,7 +134,7 @@ def test_heights_are_closed_whatever_the_whole_rises_by():
     assert steps(found, 1).max() < 3.0 * steps(plain, 1).max()
 
 
-def test_it_is_read_as_any_field():
+def test_the_tiled_exemplar_is_read_as_a_field():
     example = Example.of(blobs())
     source = example.repeating_source()
     width, height = source.period
@@ -148,13 +148,13 @@ def test_it_is_read_as_any_field():
     np.testing.assert_allclose(maps.normal.numpy(), once[6:, :height, :width], atol=1e-5)
 
 
-def test_too_small_a_piece_is_said():
+def test_a_too_small_exemplar_is_refused():
     small = exemplar(np.random.default_rng(0).standard_normal((4, 20, 40)))
     with pytest.raises(UsageError, match="40 x 20 texels is too small to repeat"):
         repeated(small.stacked(), small.texel_size)
 
 
-def test_synth_and_export_write_the_piece_that_repeats(tmp_path, capsys):
+def test_synth_and_export_write_the_tiled_exemplar(tmp_path, capsys):
     a_material("blobs", example=an_example()).save(tmp_path / "blobs.matcap")
     file, folder = str(tmp_path / "blobs.matcap"), str(tmp_path / "piece")
     assert main(["synth", file, "--tile", "piece", "-q", "-o", folder]) == 0
@@ -171,13 +171,13 @@ def test_synth_and_export_write_the_piece_that_repeats(tmp_path, capsys):
     assert main(["export", file, "--to", "raw", "--tile", "piece", "--size", "64"]) == 2
 
 
-def test_a_decoder_has_no_piece_and_says_what_it_has(tmp_path, capsys):
+def test_a_decoder_without_an_exemplar_refuses_to_tile_it(tmp_path, capsys):
     a_material("plain", seed=5).save(tmp_path / "plain.matcap")
     assert main(["synth", str(tmp_path / "plain.matcap"), "--tile", "piece"]) == 2
     assert "has no exemplar to repeat" in capsys.readouterr().err
 
 
-def test_nothing_is_drawn_from_what_is_left_out():
+def test_texels_without_confidence_are_hardly_shown():
     piece = blobs()
     confidence = piece.confidence.copy()
     confidence[:, :, 120:] = 0.0

@@ -15,7 +15,7 @@ from matcap.export.targets import write_export
 # The script, by what it asks for; how Blender itself renders it is in docs/notes/exports.md.
 
 
-def test_the_script_finds_all_it_reads(tmp_path, made):
+def test_every_file_of_the_script_exists(tmp_path, made):
     import ast
 
     write_export(ExportJob(made["leather"], "leather", 85.0), "blender", tmp_path)
@@ -68,7 +68,9 @@ def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, uni
     ],
 )
 @pytest.mark.parametrize("material", ["leather", "rust"])
-def test_its_picture_is_matcaps(tmp_path, made, material, target, suffix, limit, result):
+def test_blenders_rendering_equals_that_of_matcap(
+    tmp_path, made, material, target, suffix, limit, result
+):
     if not render_three.PLACE.is_dir():
         pytest.skip(f"needs `npm install --prefix .node {render_three.PLACE.name}`")
     import matcap

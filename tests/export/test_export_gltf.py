@@ -26,7 +26,7 @@ from matcap.export.textures import picture as plain
     [*((name, depth) for name in MATERIALS for depth in (None, "8", "16")),
      *((name, None) for name in METALS)],
 )  # fmt: skip
-def test_its_material_gives_the_light_of_the_maps(tmp_path, made, name, depth):
+def test_the_material_gives_the_reflectance_of_the_maps(tmp_path, made, name, depth):
     done = write_export(ExportJob(made[name], name, depth=depth), "gltf", tmp_path)
     ways = {
         "specular": {"compensated": True, "browsers": True},
@@ -75,7 +75,7 @@ def test_the_plane_is_as_large_as_the_maps(tmp_path, made):
 
 
 @pytest.mark.parametrize("f0", [0.0, 0.04, 0.2, 0.95, 1.0])
-def test_any_f0_is_kept(tmp_path, f0):
+def test_every_f0_is_kept(tmp_path, f0):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8), flat + f0, flat + 0.5, flat, 0.1)
     done = write_export(ExportJob(maps, "even"), "gltf", tmp_path)
@@ -84,7 +84,7 @@ def test_any_f0_is_kept(tmp_path, f0):
     assert done.residuals["read with 16 bits"].worst < 0.03
 
 
-def test_more_light_than_a_layer_allows_is_told(tmp_path):
+def test_radiance_beyond_the_layers_of_gltf_is_noted(tmp_path):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8) + 0.9, flat + 0.5, flat + 0.5, flat, 0.1)
     done = write_export(
@@ -98,7 +98,7 @@ def test_more_light_than_a_layer_allows_is_told(tmp_path):
     not has_validator(), reason="needs node, and `npm install --prefix .node gltf-validator`"
 )
 @pytest.mark.parametrize("depth", ["8", "16"])
-def test_the_validator_finds_nothing(tmp_path, made, depth):
+def test_the_gltf_validator_reports_no_error(tmp_path, made, depth):
     write_export(ExportJob(made["rust"], "rust", 85.0, depth), "gltf", tmp_path)
     assert complaints(tmp_path / "rust.glb") == []
     broken = (tmp_path / "rust.glb").read_bytes().replace(b'"VEC3"', b'"VEC4"')
@@ -107,7 +107,7 @@ def test_the_validator_finds_nothing(tmp_path, made, depth):
 
 
 @pytest.mark.parametrize("container", ["jpg", "webp"])
-def test_a_light_file(tmp_path, made, container):
+def test_jpg_and_webp_textures_make_a_smaller_file(tmp_path, made, container):
     import cv2
 
     sizes = {}
@@ -127,7 +127,7 @@ def test_a_light_file(tmp_path, made, container):
         assert complaints(folder / "rust.glb") == []
 
 
-def test_viewers_without_extensions_get_a_metallic_form(tmp_path, made):
+def test_viewers_without_extensions_get_a_metallic_material(tmp_path, made):
     done = write_export(
         ExportJob(made["leather"], "leather"), "gltf", tmp_path, ExportOptions(workflow="metallic")
     )
@@ -149,13 +149,13 @@ def read_usd():
 
 
 @pytest.mark.parametrize(("material", "name"), [("leather", "2001 façade-1"), ("gold", "gold")])
-def test_it_is_valid(tmp_path, made, read_usd, material, name):
+def test_usd_is_valid(tmp_path, made, read_usd, material, name):
     write_export(ExportJob(made[material], name, millimetres=90.0), "usd", tmp_path)
     for suffix in ("usda", "usdz"):
         assert read_usd.complaints(tmp_path / f"{name}.{suffix}") == []
 
 
-def test_the_validators_would_object(tmp_path, made, read_usd):
+def test_the_usd_validators_reject_a_broken_stage(tmp_path, made, read_usd):
     write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
     file = tmp_path / "leather.usda"
     file.write_text(file.read_text().replace("color3f inputs:diff", "float inputs:diff"))
@@ -163,7 +163,7 @@ def test_the_validators_would_object(tmp_path, made, read_usd):
 
 
 @pytest.mark.parametrize("name", ["leather", "gold", "copper"])
-def test_its_materialx_is_materialxs(tmp_path, made, read_usd, name):
+def test_the_materialx_of_usd_equals_that_of_materialx(tmp_path, made, read_usd, name):
     pytest.importorskip("MaterialX", reason="needs the extra `export`")
     write_export(ExportJob(made[name], "leather"), "usd", tmp_path)
     file, wrong = tmp_path / "leather.usda", tmp_path / "wrong.usda"
@@ -173,7 +173,7 @@ def test_its_materialx_is_materialxs(tmp_path, made, read_usd, name):
 
 
 @pytest.mark.parametrize("name", [*MATERIALS, *METALS])
-def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name):
+def test_the_usd_network_gives_the_reflectance_of_the_maps(tmp_path, made, read_usd, name):
     write_export(ExportJob(made[name], name), "usd", tmp_path)
     for suffix in ("usda", "usdz"):
         off = residual(made[name], read_usd.surface(tmp_path / f"{name}.{suffix}"))
@@ -184,7 +184,7 @@ def test_its_network_gives_the_light_of_the_maps(tmp_path, made, read_usd, name)
 
 
 @pytest.mark.parametrize(("unit", "metres"), [(None, 1.0), (90.0, 0.09)])
-def test_heights_are_real(tmp_path, made, read_usd, unit, metres):
+def test_heights_of_usd_are_in_metres(tmp_path, made, read_usd, unit, metres):
     from pxr import Usd, UsdGeom
 
     write_export(ExportJob(made["leather"], "leather", unit), "usd", tmp_path)
@@ -202,7 +202,7 @@ def test_heights_are_real(tmp_path, made, read_usd, unit, metres):
     assert (found - height).abs().max() < 1e-4 * float(height.max() - height.min())
 
 
-def test_files_lie_at_multiples_of_64_bytes(tmp_path, made):
+def test_files_in_a_usdz_start_at_multiples_of_64_bytes(tmp_path, made):
     write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
     path = tmp_path / "leather.usdz"
     content = path.read_bytes()

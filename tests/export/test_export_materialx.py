@@ -24,13 +24,13 @@ def read_materialx():
 
 
 @pytest.mark.parametrize("name", [*MATERIALS, "gold"])
-def test_it_is_valid(tmp_path, made, read_materialx, name):
+def test_the_document_is_valid(tmp_path, made, read_materialx, name):
     write_export(ExportJob(made[name], name, millimetres=90.0), "materialx", tmp_path)
     for variant in VARIANTS:
         assert read_materialx.complaints(tmp_path / f"{name}{variant}.mtlx") == []
 
 
-def test_the_validator_would_object(tmp_path, made, read_materialx):
+def test_the_validator_rejects_a_broken_document(tmp_path, made, read_materialx):
     write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
     file = tmp_path / "leather.mtlx"
     file.write_text(file.read_text().replace('nodename="alpha"', 'nodename="alfa"'))
@@ -38,13 +38,13 @@ def test_the_validator_would_object(tmp_path, made, read_materialx):
 
 
 @pytest.mark.parametrize("name", [*MATERIALS, *METALS])
-def test_its_graph_gives_the_light_of_the_maps(tmp_path, made, read_materialx, name):
+def test_the_graph_gives_the_reflectance_of_the_maps(tmp_path, made, read_materialx, name):
     write_export(ExportJob(made[name], name), "materialx", tmp_path)
     off = residual(made[name], read_materialx.surface(tmp_path / f"{name}.mtlx"))
     assert off.worst < 1e-3
 
 
-def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
+def test_a_shader_is_generated_from_the_document(tmp_path, made, read_materialx):
     write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
     document = read_materialx.load(tmp_path / "leather.mtlx")
     made_of_it = read_materialx.shader(document, "point")
@@ -56,7 +56,7 @@ def test_a_shader_can_be_made_of_it(tmp_path, made, read_materialx):
 @pytest.mark.parametrize(
     ("variant", "limit"), [("", 1e-3), ("_openpbr", 0.01), ("_standard_surface", 0.01)]
 )
-def test_its_picture_is_matcaps(tmp_path, made, read_materialx, variant, limit):
+def test_the_rendering_equals_that_of_matcap(tmp_path, made, read_materialx, variant, limit):
     """MaterialX's shader, drawn by Chromium, against `matcap relight`."""
     import matcap
     from matcap.relight.scene import NAMED_LIGHTS, PointLight, exposing_intensity
@@ -73,7 +73,7 @@ def test_its_picture_is_matcaps(tmp_path, made, read_materialx, variant, limit):
 
 
 @pytest.mark.parametrize(("unit", "metres"), [(None, 1.0), (85.0, 0.085)])
-def test_heights_are_real(tmp_path, made, read_materialx, unit, metres):
+def test_heights_are_in_metres(tmp_path, made, read_materialx, unit, metres):
     write_export(ExportJob(made["leather"], "leather", unit), "materialx", tmp_path)
     document = read_materialx.load(tmp_path / "leather.mtlx")
     graph = document.getNodeGraph("NG_matcap")

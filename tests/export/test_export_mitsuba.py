@@ -10,7 +10,7 @@ from matcap.export.targets import write_export
 
 
 @pytest.mark.parametrize(("material", "fewest"), [("leather", 4), ("gold", 3)])
-def test_every_texture_named_is_there(tmp_path, made, material, fewest):
+def test_every_texture_of_the_scene_exists(tmp_path, made, material, fewest):
     write_export(ExportJob(made[material], "leather"), "mitsuba", tmp_path)
     for scene in ("leather.xml", "leather_exact.xml"):
         root = ET.parse(tmp_path / scene).getroot()
@@ -24,7 +24,7 @@ def test_every_texture_named_is_there(tmp_path, made, material, fewest):
 
 
 @pytest.mark.parametrize("scene", ["{}.xml", "{}_exact.xml"])
-def test_its_picture_is_matcaps(tmp_path, made, scene, monkeypatch):
+def test_mitsubas_rendering_equals_that_of_matcap(tmp_path, made, scene, monkeypatch):
     mi = pytest.importorskip("mitsuba", reason="needs the extra `reference`")
     import matcap
 

@@ -80,7 +80,7 @@ def bilinear(field, x, y):
 
 
 @pytest.mark.parametrize("relief", RELIEFS)
-def test_it_is_what_rays_find(relief):
+def test_occlusion_equals_that_of_cast_rays(relief):
     field = RELIEFS[relief]()
     rows, columns = (axis.ravel() for axis in np.mgrid[1:SIDE:6, 1:SIDE:6])
     true, bent = followed(field, rows, columns)
@@ -130,7 +130,7 @@ def traced(field, spp=512, around=2):
 
 
 @pytest.mark.parametrize("relief", RELIEFS)
-def test_it_is_what_a_path_tracer_finds(relief):
+def test_occlusion_equals_that_of_a_path_tracer(relief):
     pytest.importorskip("mitsuba", reason="Mitsuba is not installed")
     field = RELIEFS[relief]()
     true = traced(field)
@@ -139,14 +139,14 @@ def test_it_is_what_a_path_tracer_finds(relief):
     assert np.abs(made - true).mean() < 0.03  # of which the rays' own noise is 0.015
 
 
-def test_flat_surfaces_see_all_of_the_sky():
+def test_flat_surfaces_have_no_occlusion():
     made = occlusion(np.full((8, 8), 3.0, np.float32), periodic=False)
     assert made.open.min() > 0.999
     assert made.cavity.min() > 0.999
     assert np.allclose(made.bent, [0.0, 0.0, 1.0], atol=1e-4)
 
 
-def test_cavities_are_of_what_is_near():
+def test_cavity_depends_on_near_texels_alone():
     field = np.zeros((64, 64), np.float32)
     field[:, :16] = 30.0  # a wall
     made = occlusion(field, periodic=False)
@@ -156,14 +156,14 @@ def test_cavities_are_of_what_is_near():
     assert made.bent[32, far, 0] > 0.2  # away from it
 
 
-def test_it_repeats_where_the_maps_do():
+def test_occlusion_repeats_with_the_maps():
     field = RELIEFS["pebbles"]().astype(np.float32)
     whole = occlusion(field, periodic=True).open
     moved = occlusion(np.roll(field, (13, 40), (0, 1)), periodic=True).open
     assert np.allclose(np.roll(whole, (13, 40), (0, 1)), moved, atol=1e-5)
 
 
-def test_large_maps_are_looked_at_at_half_their_resolution(monkeypatch):
+def test_occlusion_of_large_maps_is_computed_at_half_resolution(monkeypatch):
     monkeypatch.setattr("matcap.export.occlusion.LARGEST", SIDE * SIDE - 1)
     field = RELIEFS["ridges"]().astype(np.float32)
     coarse = occlusion(field, periodic=True)

@@ -62,7 +62,7 @@ def moss(**options) -> ExportJob:
 
 
 @pytest.mark.parametrize("preset", NAMES)
-def test_files_are_called_as_they_are_there(tmp_path, preset):
+def test_presets_have_the_file_names_of_their_libraries(tmp_path, preset):
     done = write_export(moss(), preset, tmp_path)
     assert set(done.files) == NAMES[preset] | {f"moss_{preset}.json"}
     sidecar = json.loads((tmp_path / f"moss_{preset}.json").read_text())
@@ -98,7 +98,7 @@ def test_unreal_packs_occlusion_roughness_metallic(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["rust beside steel", "worn paint", "blue anodised"])
-def test_unreal_gets_metals_as_they_are(tmp_path, name):
+def test_metals_keep_albedo_and_f0_in_unreal(tmp_path, name):
     job = ExportJob(metals()[name], "moss")
     write_export(job, "unreal-metallic", tmp_path)
     orm = picture(tmp_path / "T_moss_ORM.png")
@@ -121,7 +121,7 @@ def test_unity_keeps_smoothness_in_alpha(tmp_path):
 
 
 @pytest.mark.parametrize("unit", [None, 85.0])
-def test_heights_come_back_with_the_sidecar(tmp_path, unit):
+def test_heights_are_read_back_by_the_sidecar(tmp_path, unit):
     job = moss(millimetres=unit)
     write_export(job, "polyhaven", tmp_path)
     about = json.loads((tmp_path / "moss_polyhaven.json").read_text())["height_code"]
@@ -132,14 +132,14 @@ def test_heights_come_back_with_the_sidecar(tmp_path, unit):
 
 
 @pytest.mark.parametrize(("bits", "kind"), [("8", np.uint8), ("16", np.uint16)])
-def test_bits_of_pngs(tmp_path, bits, kind):
+def test_pngs_have_the_bits_of_the_preset(tmp_path, bits, kind):
     write_export(moss(depth=bits), "unity-hdrp", tmp_path)
     for file in tmp_path.glob("*.png"):
         assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).dtype == kind
 
 
 @pytest.mark.parametrize("bits", ["half", "float"])
-def test_floats_are_the_numbers_themselves(tmp_path, bits):
+def test_float_textures_hold_the_exact_values(tmp_path, bits):
     job = moss(depth=bits)
     write_export(job, "polyhaven", tmp_path)
     assert not list(tmp_path.glob("*.png"))
@@ -149,7 +149,7 @@ def test_floats_are_the_numbers_themselves(tmp_path, bits):
     assert np.abs(normal - job.picture("normal")).max() < 1e-3
 
 
-def test_patterns_of_the_users_own():
+def test_file_names_follow_the_users_pattern():
     names = set(packed(moss(), "raw", ExportOptions("{map}-of-{stem}.{format}.{res}")).textures)
     assert "diffuse-of-moss.EXR.1k.exr" in names
     assert "normal_gl-of-moss.EXR.1k.exr" in names
@@ -166,12 +166,12 @@ def test_patterns_of_the_users_own():
         ("{}", "choose from"),
     ],
 )
-def test_patterns_that_cannot_be(pattern, said):
+def test_impossible_patterns_are_refused(pattern, said):
     with pytest.raises(UsageError, match=re.escape(said)):
         packed(moss(), "raw", ExportOptions(pattern))
 
 
-def test_only_the_maps_asked_for():
+def test_only_the_requested_maps_are_written():
     made = packed(moss(), "polyhaven", ExportOptions(maps=["roughness", "diffuse"]))
     assert set(made.textures) == {"moss_diff_1k.png", "moss_rough_1k.png"}
     with pytest.raises(UsageError, match="'diffuze'; did you mean 'diffuse'"):
@@ -193,7 +193,7 @@ class TestMetallic:
     """The metallic workflow, against its two equations."""
 
     @pytest.mark.parametrize("f0", [0.04, 0.3, 0.5])
-    def test_both_equations_hold_where_they_can(self, f0):
+    def test_metallic_fits_albedo_and_f0_where_a_solution_exists(self, f0):
         diffuse = np.stack([even(0.3), even(0.25), even(0.2)], axis=-1)
         found = to_metallic(MetallicAim(diffuse, even(f0), even(0.5), 0.04, 0.04))
         back = found.base * (1.0 - found.metallic)[..., None]
@@ -202,7 +202,7 @@ class TestMetallic:
         assert np.allclose(mixed, f0, atol=1e-3)
 
     @pytest.mark.parametrize("f0", [0.05, 0.09, 0.17, 0.2])
-    def test_what_is_no_metal_is_not_called_one(self, f0):
+    def test_a_dielectric_gets_no_metallic(self, f0):
         found = to_metallic(MetallicAim(even(0.1, (4, 4, 3)), even(f0), even(0.5), 0.04, 0.04))
         assert (found.metallic == 0.0).all()
         assert np.allclose(found.base, 0.1)
@@ -223,7 +223,7 @@ class TestMetallic:
         assert np.allclose(mixed, 0.6, atol=1e-3)
 
     @pytest.mark.parametrize("dielectric", [0.04, 0.06])
-    def test_a_metallic_material_is_found_again_by_the_free_form(self, dielectric):
+    def test_the_free_workflow_recovers_a_metallic_material(self, dielectric):
         base = np.random.default_rng(1).uniform(0.05, 0.95, (8, 8, 3)).astype(np.float32)
         share = np.random.default_rng(2).uniform(0.0, 1.0, (8, 8)).astype(np.float32)
         diffuse = base * (1.0 - share)[..., None]
@@ -235,7 +235,7 @@ class TestMetallic:
         assert np.abs(back - diffuse).max() < 0.01
         assert np.abs(mixed - f0).max() < 0.01
 
-    def test_no_form_is_further_than_the_plain_one_by_its_own_measure(self):
+    def test_freer_forms_have_smaller_residuals(self):
         draw = np.random.default_rng(3)
         diffuse, f0 = draw.uniform(0.0, 0.6, (16, 16, 3)), draw.uniform(0.02, 0.9, (16, 16, 3))
         wanted = MetallicAim(
@@ -259,7 +259,7 @@ class TestForms:
     """Which of three metallic forms is written: the nearest one."""
 
     @pytest.mark.parametrize("f0", [0.045, 0.09])
-    def test_what_is_no_metal_is_not_called_one_for_little(self, f0):
+    def test_a_small_gain_does_not_make_a_dielectric_metallic(self, f0):
         """F0 = 0.09 of a brown leather would be a tenth nearer as a little of a metal."""
         assert packed(glossy(f0), "unreal-metallic").entries["metallic"] == "plain"
 
@@ -272,7 +272,7 @@ class TestForms:
 
     @pytest.mark.parametrize("target", ["usd", "gltf", "unity-hdrp"])
     @pytest.mark.parametrize("name", ["rust beside steel", "worn paint"])
-    def test_none_is_further_than_the_plain_one(self, target, name, monkeypatch):
+    def test_no_solution_is_worse_than_the_plain_one(self, target, name, monkeypatch):
         job = ExportJob(metals()[name], "m")
         make = {**DOCUMENTS, "unity-hdrp": preset_forms("unity-hdrp")}[target]["metallic"]
         chosen = residuals(job, make(job).surfaces)["metallic"]
@@ -288,7 +288,7 @@ def glossy(f0: float) -> ExportJob:
 
 
 @pytest.mark.parametrize("preset", ["unity-hdrp", "unity-urp"])
-def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
+def test_the_workflow_of_least_residual_is_written_and_both_are_noted(tmp_path, preset):
     done = write_export(glossy(0.09), preset, tmp_path)
     assert done.workflow == "specular"
     assert done.residual == done.residuals["specular"]
@@ -298,13 +298,13 @@ def test_the_nearest_form_is_written_and_both_are_told(tmp_path, preset):
     assert set(sidecar["residuals"]) == {"metallic", "specular"}
 
 
-def test_unreal_gets_what_every_project_shows_unless_asked(tmp_path):
+def test_unreal_gets_metallic_textures_by_default(tmp_path):
     done = write_export(glossy(0.09), "unreal", tmp_path)
     assert done.workflow == "metallic" and set(done.residuals) == {"metallic", "specular"}
     assert any("--workflow specular is closer" in note for note in done.notes)
 
 
-def test_a_form_can_be_asked_for(tmp_path):
+def test_a_workflow_can_be_chosen(tmp_path):
     done = write_export(glossy(0.04), "unity-hdrp", tmp_path, ExportOptions(workflow="metallic"))
     assert done.workflow == "metallic"
     assert (picture(tmp_path / "brown_MaskMap.png")[..., 0] == 0.0).all()  # leather is no metal
@@ -312,7 +312,7 @@ def test_a_form_can_be_asked_for(tmp_path):
         write_export(glossy(0.09), "godot", tmp_path, ExportOptions(workflow="specular"))
 
 
-def test_a_grey_f0_over_red_cannot_be_had_of_metals_and_is_told():
+def test_a_grey_f0_over_red_albedo_has_a_residual_in_the_metallic_workflow():
     forms = preset_forms("unity-hdrp")
     job = glossy(0.4)
     off = {form: residuals(job, make(job).surfaces)[form].mean for form, make in forms.items()}
@@ -322,13 +322,13 @@ def test_a_grey_f0_over_red_cannot_be_had_of_metals_and_is_told():
 class TestHeights:
     """One range for all realisations of a material, the undisplaced level in the middle."""
 
-    def test_the_middle_is_undisplaced(self, tmp_path):
+    def test_mid_height_is_without_displacement(self, tmp_path):
         job = glossy(0.04)
         write_export(job, "polyhaven", tmp_path, ExportOptions(maps=["height"]))
         code = picture(tmp_path / "brown_disp_8.png")
         assert np.abs(code - 0.5).max() < 1e-5
 
-    def test_realisations_share_it(self):
+    def test_all_realisations_have_the_same_range_of_heights(self):
         first, second = (moss().maps, moss().maps)
         second = MapSet(
             second.diffuse, second.specular, second.roughness, second.height * 0.93, 2.0 / 1024
@@ -353,7 +353,7 @@ def chunks(png: bytes) -> dict[bytes, bytes]:
     return found
 
 
-def test_pngs_say_how_they_are_to_be_read_and_how_large_a_texel_is(tmp_path):
+def test_pngs_state_their_colour_space_and_texel_size(tmp_path):
     write_export(moss(millimetres=102.4), "polyhaven", tmp_path)
     colour = chunks((tmp_path / "moss_diff_1k.png").read_bytes())
     plain = chunks((tmp_path / "moss_rough_1k.png").read_bytes())
@@ -366,7 +366,7 @@ def test_pngs_say_how_they_are_to_be_read_and_how_large_a_texel_is(tmp_path):
 
 
 @pytest.mark.parametrize("container", ["jpg", "webp"])
-def test_libraries_ship_small_files_too(tmp_path, container):
+def test_presets_with_jpg_and_webp_keep_heights_in_png(tmp_path, container):
     job = moss(container=container)
     done = write_export(job, "ambientcg", tmp_path)
     assert f"moss_1K-{container.upper()}_Color.{container}" in done.files
@@ -385,7 +385,7 @@ def test_heights_beside_small_files_are_codes_of_16_bits(tmp_path):
 
 
 @pytest.mark.parametrize("options", [{"container": "tx"}, {"container": "exr", "tiled": True}])
-def test_renderers_can_page_tiles_in(tmp_path, options):
+def test_tx_files_are_tiled_with_mip_levels(tmp_path, options):
     import OpenImageIO as oiio
 
     job = moss(depth="half", **options)

@@ -39,7 +39,7 @@ KEPT += [(target, name) for target in DOCUMENTS for name in ("leather", "gold")]
 
 
 @pytest.mark.parametrize(("target", "name"), sorted(set(KEPT)))
-def test_targets_that_know_the_model_keep_it(tmp_path, made, target, name):
+def test_targets_with_the_same_model_keep_the_maps(tmp_path, made, target, name):
     done = write_export(ExportJob(made[name], name), target, tmp_path / "out")
     assert done.residual is not None
     # Browsers read 8 bits of a binary's 16, which polished granite shows.
@@ -92,7 +92,7 @@ def test_a_known_size_goes_into_every_export(tmp_path, made):
         assert sidecar["tile"][0] == pytest.approx(170.0)
 
 
-def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
+def test_the_range_of_heights_is_that_of_the_material(tmp_path, made, monkeypatch):
     height = made["leather"].height
     there = SimpleNamespace(generator=SimpleNamespace(piece=lambda: made["leather"]))
     monkeypatch.setattr("matcap.field.material.Material.load", lambda _: there)
@@ -103,7 +103,7 @@ def test_a_material_fixes_the_range_of_its_heights(tmp_path, made, monkeypatch):
     assert material_reach(tmp_path, "other") is None
 
 
-def test_a_broken_material_beside_the_maps_has_no_say(tmp_path):
+def test_a_broken_material_beside_the_maps_is_ignored(tmp_path):
     (tmp_path / "tiny.matcap").write_bytes(b"no material")
     assert material_reach(tmp_path, "tiny") is None
 
@@ -126,7 +126,7 @@ def captured(tmp_path, monkeypatch, made):
 
 
 @pytest.mark.parametrize("line", EXPORTS)
-def test_commands_run(captured, line):
+def test_exported_commands_run(captured, line):
     assert main(shlex.split(line)[1:]) == 0
 
 
@@ -134,7 +134,7 @@ ENDS = {"materialx": ".mtlx", "gltf": ".glb", "usd": ".usd", "blender": ".py", "
 
 
 @pytest.mark.parametrize("target", ENDS)
-def test_files_are_called_as_the_page_says(captured, target, capsys):
+def test_file_names_are_those_of_the_guide(captured, target, capsys):
     assert any(f"--to {target}" in line for line in EXPORTS)
     assert main(["export", "out/leather", "--to", target]) == 0
     said = capsys.readouterr()
@@ -148,7 +148,7 @@ def test_files_are_called_as_the_page_says(captured, target, capsys):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_files_of_presets_are_called_as_the_table_says(captured, preset):
+def test_file_names_of_presets_are_those_of_the_table(captured, preset):
     (row,) = re.findall(rf"^\| `{preset}` \| (.*?) \|", PAGE, re.MULTILINE)
     forms = PRESETS[preset]
     for form in forms:
@@ -194,7 +194,7 @@ def test_a_materials_tile_has_no_seam_and_exports_say_so(tmp_path, name):
             assert not any("seam" in note for note in done.notes)
 
 
-def test_what_is_cut_from_the_endless_field_has_a_seam_which_an_export_tells(tmp_path):
+def test_an_export_of_a_cut_notes_its_seam(tmp_path):
     by_example("leather").save(tmp_path / "leather.matcap")
     maps = open_material(tmp_path)[1].maps(200, 200)
     assert seam_ratio(maps) > SEAMLESS
@@ -206,7 +206,7 @@ def test_what_is_cut_from_the_endless_field_has_a_seam_which_an_export_tells(tmp
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_the_maps_themselves_have_none(made, name):
+def test_an_export_of_tiling_maps_notes_no_seam(made, name):
     off = residual(made[name], of_maps(made[name]))
     assert off.mean == off.worst == 0.0
 
@@ -229,13 +229,13 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_every_parameter_counts(made, change):
+def test_a_change_of_any_parameter_has_a_residual(made, change):
     true = of_maps(made["rust"])
     changed = replace(true, **CHANGES[change](true))
     assert residual(made["rust"], changed).worst > 1e-3
 
 
-def test_a_tenth_more_light_is_a_tenth(made):
+def test_ten_percent_more_albedo_is_ten_percent_more_radiance(made):
     maps = made["leather"]
     black = MapSet(maps.diffuse, 0.0 * maps.specular, maps.roughness, maps.height, 1e9)
     rough = TargetSurface(
@@ -247,7 +247,7 @@ def test_a_tenth_more_light_is_a_tenth(made):
     assert torch.allclose(more, 1.1 * less, rtol=1e-6)
 
 
-def test_shine_is_the_reflectance_matcap_renders_with(made):
+def test_the_surface_of_targets_equals_the_reflectance_of_matcap(made):
     from matcap.brdf.cook_torrance import cook_torrance, dot
 
     maps = made["rust"].map(lambda map_: map_.double())

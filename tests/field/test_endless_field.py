@@ -5,6 +5,7 @@ import random
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -22,6 +23,7 @@ from matcap.field.material import Material
 from matcap.field.opened import open_tile
 from matcap.field.options import ReadOptions
 from matcap.field.plane import Rectangle
+from matcap.field.source import one_thread, single_threaded
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.freeze import Drawing, reference_field
 from matcap.space.random_field import Patch, noise_field, wave_field
@@ -38,7 +40,7 @@ def material(request):
 
 
 @pytest.mark.parametrize("origin", [0, 2**31 - 300, 2**40 - 900])
-def test_whole_pieces_and_lone_rectangle_are_the_same_bits(material, origin):
+def test_rectangles_read_whole_in_parts_or_alone_are_bit_identical(material, origin):
     field = Field(material, seed=7)
     x, y = origin, -origin + 100
     whole = field.read(x, y, 600, 560, workers=2).stacked()
@@ -49,7 +51,7 @@ def test_whole_pieces_and_lone_rectangle_are_the_same_bits(material, origin):
         assert torch.equal(part, whole[:, top : top + height, left : left + width])
 
 
-def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
+def test_blocks_equal_the_tuned_network_on_the_whole_torus(material):
     """Against the decoder that is trained: circular padding, batch normalisation, no blocks."""
     found, expected = both(material)
     assert torch.allclose(found, expected, atol=2e-5)
@@ -57,7 +59,7 @@ def test_blocks_are_the_network_that_was_tuned_on_the_whole_torus(material):
 
 
 @pytest.mark.parametrize("period", [(160, 96), (160, None), (None, 96)])
-def test_a_field_repeats_exactly_along_the_axes_asked_for(material, period):
+def test_a_periodic_field_repeats_exactly_along_its_axes(material, period):
     maps = Field(material, 5, period).read(-40, 7, 320, 192).stacked()
     assert torch.equal(maps, maps.roll((period[1] or 0, period[0] or 0), (1, 2)))
     assert not torch.equal(maps, maps.roll((48, 80) if all(period) else (96, 160), (1, 2)))
@@ -77,7 +79,7 @@ def test_reading_works_in_inference_mode_and_leaves_the_thread_count(material):
     assert torch.get_num_threads() == threads == 2 and seen == [threads]
 
 
-def test_seeds_differ_and_processes_agree(material, tmp_path):
+def test_seeds_give_different_fields_and_processes_the_same(material, tmp_path):
     material.save(tmp_path / "m.matcap")
     program = (
         "import sys, hashlib, matcap; m = matcap.Material.load(sys.argv[1]);"
@@ -91,7 +93,7 @@ def test_seeds_differ_and_processes_agree(material, tmp_path):
     assert (a - b).abs().max() > 0.01
 
 
-def test_frozen_and_folded_are_the_network_that_was_tuned(material):
+def test_the_frozen_network_equals_the_tuned_one(material):
     tuned = material.part(TunedDecoder)
     decoder, code = tuned.decoder, tuned.code
     field = reference_field(decoder.config, tuned.waves, tuned.drawing)
@@ -104,7 +106,7 @@ def test_frozen_and_folded_are_the_network_that_was_tuned(material):
     assert torch.allclose(folded[inner], frozen[inner], atol=1e-4)
 
 
-def test_saved_material_is_the_same_material(material, tmp_path):
+def test_a_saved_material_reads_back_equal(material, tmp_path):
     setup = replace(material.setup, vignetting_centre=(0.1, -0.2))
     material = replace(material, setup=setup)
     material.save(tmp_path / "m.matcap")
@@ -114,7 +116,7 @@ def test_saved_material_is_the_same_material(material, tmp_path):
     assert waves[0] == waves[1] and loaded.setup == material.setup
 
 
-def test_what_is_loaded_lies_in_memory_as_what_was_saved(material, tmp_path):
+def test_loaded_tensors_have_the_memory_layout_of_saved_ones(material, tmp_path):
     """Products of matrices round as their operands are aligned: bits would differ otherwise."""
     material.save(tmp_path / "m.matcap")
     loaded = Material.load(tmp_path / "m.matcap").part(TunedDecoder)
@@ -122,7 +124,7 @@ def test_what_is_loaded_lies_in_memory_as_what_was_saved(material, tmp_path):
     assert all(tensor.data_ptr() % 64 == 0 for tensor in read)
 
 
-def test_damaged_materials_are_refused_by_name(tmp_path):
+def test_damaged_materials_are_refused_with_the_file_name(tmp_path):
     from safetensors.torch import load_file, save_file
 
     from matcap.files.tensors import write_tensors
@@ -173,12 +175,12 @@ def test_damaged_materials_are_refused_by_name(tmp_path):
         (0, None, (2**40, 0, 8, 8)),
     ],
 )
-def test_what_is_out_of_range_is_refused(seed, period, rectangle):
+def test_rectangles_and_seeds_out_of_range_are_refused(seed, period, rectangle):
     with pytest.raises(UsageError):
         Field(noisy(), seed, period).read(*rectangle)
 
 
-def test_far_noise_and_waves_are_exact():
+def test_noise_and_waves_are_exact_at_far_coordinates():
     far = 2**40 - 64
     wide = noise_field(Patch(1, Rectangle(far, -far, 64, 32)), 4)
     assert torch.equal(
@@ -223,7 +225,7 @@ def test_a_material_file_is_read_at_the_size_and_seed_asked_for(tmp_path, source
         assert source_material.pop() == ("a.MATCAP", *size, 5, period)
 
 
-def test_a_folder_with_a_material_only(tmp_path, source_material, maps):
+def test_a_folder_with_only_a_material_opens_it(tmp_path, source_material, maps):
     (tmp_path / "a.matcap").touch()
     (tmp_path / "report.json").write_text("{}")
     assert open_tile(tmp_path).maps is maps
@@ -242,7 +244,7 @@ def test_a_folder_means_its_material_and_a_map_sets_file_that_map_set(
     assert len(source_material) == 1
 
 
-def test_a_size_or_seed_asked_of_a_map_set_is_refused_by_name(tmp_path, maps):
+def test_size_or_seed_of_a_map_set_is_refused(tmp_path, maps):
     write_mapset(maps, tmp_path, MapSetInfo("a"))
     assert open_tile(tmp_path).name == "a"
     asked = {"size": {"size": (64, 64)}, "seed": {"seed": 0}}
@@ -251,7 +253,7 @@ def test_a_size_or_seed_asked_of_a_map_set_is_refused_by_name(tmp_path, maps):
             open_tile(tmp_path, **value)
 
 
-def test_nothing_or_too_much_to_open(tmp_path, source_material):
+def test_a_folder_with_no_or_several_materials_is_refused(tmp_path, source_material):
     with pytest.raises(MatcapError, match="no map set and no material"):
         open_tile(tmp_path)
     with pytest.raises(MatcapError, match="no such file or folder"):
@@ -260,3 +262,29 @@ def test_nothing_or_too_much_to_open(tmp_path, source_material):
         (tmp_path / name).touch()
     with pytest.raises(MatcapError, match=r"2 materials in this folder \(a.matcap, b.matcap\)"):
         open_tile(tmp_path)
+
+
+# Threads on one core each, beside a process that uses more.
+
+
+def threads_after_an_operator() -> int:
+    torch.rand(1 << 16) * 2
+    return torch.get_num_threads()
+
+
+@pytest.mark.usefixtures("two_threads")
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_thread_computes_on_one_core_and_the_caller_on_its_own_number(workers):
+    with single_threaded(workers) as pool:
+        found = [pool.submit(threads_after_an_operator) for _ in range(8)]
+        assert {one.result() for one in found} == {1}
+        assert threads_after_an_operator() == 2
+    assert threads_after_an_operator() == 2
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_one_thread_is_for_its_context_alone_and_restores_the_number_after_an_error():
+    with suppress(ValueError), one_thread():
+        assert torch.get_num_threads() == 1
+        raise ValueError
+    assert torch.get_num_threads() == 2

@@ -61,7 +61,7 @@ BOUNDED = [one for one in ALL if math.isfinite(one.rule.least)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_field_is_told_of_below_itself(kind):
+def test_every_setting_has_documentation_below_it(kind):
     result = field_docs(kind)
     assert all(result.get(one.name, "").endswith(".") for one in fields(kind) if one.init)
 
@@ -120,7 +120,7 @@ FINE = ("leather", "Leather (2), brown", "dose & co", "Holz'stück", "木目", "
 
 
 @pytest.mark.parametrize("name", NASTY)
-def test_a_nasty_name_is_refused_and_becomes_a_plain_one(name):
+def test_a_dangerous_name_is_refused_and_sanitised(name):
     with pytest.raises(UsageError, match="is not a plain file name: it") as caught:
         plain_name(name)
     assert caught.value.sentence().isprintable()
@@ -128,12 +128,12 @@ def test_a_nasty_name_is_refused_and_becomes_a_plain_one(name):
 
 
 @pytest.mark.parametrize("name", FINE)
-def test_a_name_that_people_give_is_kept(name):
+def test_ordinary_names_are_kept(name):
     assert plain_name(name) == usable_name(name) == name
 
 
 @pytest.mark.parametrize("name", [3, None, ["a"], b"a"])
-def test_what_is_no_text_is_no_name(name):
+def test_names_that_are_no_text_are_refused(name):
     assert name_fault(name) == "is no text"
 
 
@@ -161,14 +161,14 @@ def test_ten_thousand_names_are_plain_once_made_so(tmp_path):
             assert (stage / name).parent == tmp_path
 
 
-def test_sizes():
+def test_sizes_are_parsed():
     assert size("4096x256") == Size(4096, 256)
     assert size("512") == Size(512, 512)
     assert size("2K") == Size(2048, 2048) and size("4kx512") == Size(4096, 512)
     assert size(str(Size(3, 4))) == Size(3, 4)
 
 
-def test_regions():
+def test_regions_are_parsed():
     assert region("-100,0,512,256") == Rectangle(-100, 0, 512, 256)
     assert region(f"{2**40 - 8},{-(2**40)},8,8") == Rectangle(2**40 - 8, -(2**40), 8, 8)
 
@@ -176,7 +176,7 @@ def test_regions():
 @pytest.mark.parametrize(
     ("text", "seconds"), [("90", 90), ("20s", 20), ("1.5m", 90), ("2h", 7200), (".5", 0.5)]
 )
-def test_durations(text, seconds):
+def test_durations_are_parsed(text, seconds):
     assert duration(text) == seconds
 
 
@@ -188,7 +188,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("read", "text"), [(read, text) for read in WRONG for text in WRONG[read]])
-def test_what_is_no_value_is_named(read, text):
+def test_malformed_values_are_named(read, text):
     with pytest.raises(ValueError, match=r"^'.*' "):
         read(text)
 
@@ -196,7 +196,7 @@ def test_what_is_no_value_is_named(read, text):
 # Tensors in a file: whole, and for whoever the folder is for.
 
 
-def test_tensors_and_their_text_come_back(tmp_path):
+def test_tensors_and_metadata_are_read_back(tmp_path):
     path = tmp_path / "new" / "a.safetensors"
     transposed = torch.arange(6.0).reshape(2, 3).T
     write_tensors(path, {"a": transposed, "b": torch.tensor([True])}, {"about": "x"})
@@ -207,7 +207,7 @@ def test_tensors_and_their_text_come_back(tmp_path):
     assert [f.name for f in path.parent.iterdir()] == ["a.safetensors"]
 
 
-def test_the_file_is_as_readable_as_any_other(tmp_path):
+def test_the_file_has_the_permissions_of_other_files(tmp_path):
     old = os.umask(0o022)
     try:
         write_tensors(tmp_path / "a.safetensors", {"a": torch.zeros(1)}, {})
@@ -216,7 +216,7 @@ def test_the_file_is_as_readable_as_any_other(tmp_path):
     assert stat.S_IMODE((tmp_path / "a.safetensors").stat().st_mode) == 0o644
 
 
-def test_half_floats_that_have_overflowed_are_said(tmp_path):
+def test_overflow_of_half_floats_is_reported(tmp_path):
     large = torch.tensor([1.0, 70000.0])
     write_tensors(tmp_path / "whole", {"a": large}, {})
     with pytest.raises(MatcapError, match="b has values too large for half float"):
@@ -247,7 +247,7 @@ def test_a_changed_text_is_noticed(tmp_path):
     assert not whole(path)
 
 
-def test_a_file_without_a_digest_is_not_whole(tmp_path):
+def test_a_file_without_a_digest_is_refused(tmp_path):
     save_file({"a": torch.zeros(3)}, tmp_path / "old.safetensors", {"about": "x"})
     assert not whole(tmp_path / "old.safetensors")
 
@@ -267,7 +267,7 @@ def ctrl_c_is_heard():
 
 
 @pytest.mark.parametrize("number", BOTH)
-def test_a_postponed_signal_is_told_and_handlers_come_back(number):
+def test_a_postponed_signal_is_delivered_and_handlers_are_restored(number):
     before = [signal.getsignal(which) for which in BOTH]
     with postponed() as came:
         assert not came()
@@ -277,7 +277,7 @@ def test_a_postponed_signal_is_told_and_handlers_come_back(number):
 
 
 @pytest.mark.parametrize("number", BOTH)
-def test_a_signal_while_children_start_comes_afterwards(number):
+def test_a_signal_while_children_start_is_postponed(number):
     reached = []
     with pytest.raises(KeyboardInterrupt), starting_children():
         os.kill(os.getpid(), number)
@@ -286,7 +286,7 @@ def test_a_signal_while_children_start_comes_afterwards(number):
 
 
 @pytest.mark.parametrize("number", BOTH)
-def test_both_end_a_command_by_a_keyboard_interrupt(number):
+def test_both_signals_raise_keyboard_interrupt(number):
     program = (
         "import os, sys; from matcap.files.process import raise_on_signals\n"
         "came = raise_on_signals()\n"

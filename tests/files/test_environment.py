@@ -51,7 +51,7 @@ ORIENTATIONS = {
 
 
 @pytest.mark.parametrize("resolution", ORIENTATIONS)
-def test_radiance_lies_as_its_resolution_says(tmp_path, resolution):
+def test_radiance_files_are_oriented_by_their_resolution_line(tmp_path, resolution):
     file = radiance(tmp_path / "a.hdr", ORIENTATIONS[resolution], resolution=resolution)
     near(read_picture(file), PICTURE)
 
@@ -62,7 +62,7 @@ def test_radiance_exposures_multiply(tmp_path):
     near(read_picture(radiance(tmp_path / "a.hdr", stored, *lines)), PICTURE, 4.0)
 
 
-def test_radiance_in_xyz(tmp_path):
+def test_radiance_files_in_xyz_are_converted(tmp_path):
     to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     file = radiance(tmp_path / "a.hdr", PICTURE @ np.transpose(to_xyz), form="xyze")
     with pytest.warns(Note, match="primaries"):
@@ -75,14 +75,14 @@ def test_radiance_in_xyz(tmp_path):
     [("EXPOSURE=none", ""), ("EXPOSURE=0", ""), ("FORMAT=64-bit", ""), ("", "8 x 16"),
      ("", "-Y 8 +Y 16"), ("", "-Y 99999 +X 99999")],
 )  # fmt: skip
-def test_damaged_radiance_is_told(tmp_path, line, resolution):
+def test_damaged_radiance_files_are_refused(tmp_path, line, resolution):
     more = {"resolution": resolution} if resolution else {}
     file = radiance(tmp_path / "a.hdr", PICTURE, *[line] * bool(line), **more)
     with pytest.raises(MatcapError, match=r"damaged|larger than"):
         read_picture(file)
 
 
-def test_a_little_below_zero_is_clipped_and_told(tmp_path):
+def test_small_negative_radiance_is_clipped_with_a_note(tmp_path):
     picture = PICTURE.copy()
     picture[2, 3:5, 1] = -0.003
     with pytest.warns(Note, match=r"2 pixels are negative, down to -0.003"):
@@ -99,7 +99,7 @@ def test_mostly_below_zero_or_not_finite_is_refused(tmp_path):
         read_picture(exr(tmp_path / "b.exr", picture))
 
 
-def test_outside_of_the_data_window_it_is_black(tmp_path):
+def test_texels_outside_of_the_data_window_are_black(tmp_path):
     window = (np.array([0, 0], np.int32), np.array([COLUMNS - 1, ROWS - 1], np.int32))
     data = (np.array([2, 0], np.int32), np.array([COLUMNS + 1, 3], np.int32))
     file = exr(tmp_path / "a.exr", PICTURE[:4], displayWindow=window, dataWindow=data)
@@ -110,7 +110,7 @@ def test_outside_of_the_data_window_it_is_black(tmp_path):
     np.testing.assert_array_equal(found, expected)
 
 
-def test_code_values_are_decoded_and_told(tmp_path):
+def test_code_values_are_decoded_with_a_note(tmp_path):
     Image.new("RGB", (COLUMNS, ROWS), (128, 128, 128)).save(tmp_path / "a.png")
     with pytest.warns(Note, match="code values"):
         found = read_picture(tmp_path / "a.png")
@@ -154,7 +154,7 @@ def as_cube(file):
     return file
 
 
-def test_a_cube_map_is_looked_up_by_direction(tmp_path):
+def test_cube_maps_are_looked_up_by_direction(tmp_path):
     file = as_cube(exr(tmp_path / "a.exr", cube_of(smooth, 32), xxxxxx="A"))
     found = read_picture(file)
     polar = ((np.arange(64) + 0.5) / 64 * math.pi)[:, None]

@@ -66,7 +66,7 @@ def test_picture_formats_by_suffix(tmp_path):
     assert read(tmp_path / "a.PNG")[0, 0].tolist() == [255, 255, 255]
 
 
-def test_bad_pictures_leave_nothing(tmp_path):
+def test_invalid_pictures_are_not_written(tmp_path):
     with pytest.raises(MatcapError, match="unknown picture format") as caught:
         write_picture(np.zeros((2, 2, 3), dtype=np.float32), tmp_path / "a.jpg")
     assert caught.value.exit_code == ExitCode.USAGE
@@ -125,7 +125,7 @@ def test_sixteen_bits_palettes_and_other_kinds(tmp_path):
     np.testing.assert_allclose(read_mask(tmp_path / "f.tif"), SHAPE, atol=1e-6)
 
 
-def test_what_is_no_mask(tmp_path):
+def test_pictures_that_are_no_masks_are_refused(tmp_path):
     with pytest.raises(MatcapError, match="transparent"):
         saved(tmp_path / "a.png", FULL, FULL, FULL, EMPTY)
     tifffile.imwrite(tmp_path / "f.tif", 3.0 * SHAPE.astype(np.float32), photometric="minisblack")
@@ -271,7 +271,7 @@ def test_luminance_is_the_second_row_of_the_way_to_xyz():
         COLOR_REC709[:6],
     ],
 )
-def test_what_is_no_basis_is_refused(primaries):
+def test_degenerate_primaries_are_refused(primaries):
     with pytest.raises(ValueError, match="primaries|white"):
         rec709_from(primaries)
 
@@ -306,25 +306,25 @@ def decoded(code: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("light", "code"), WORKED)
-def test_worked_values(light, code):
+def test_srgb_has_the_worked_values(light, code):
     assert encoded(light) == pytest.approx((code, code), abs=1e-6)
     assert decoded(code) == pytest.approx((light, light), abs=1e-6)
 
 
 @given(st.floats(-0.5, 4.0))
-def test_there_and_back(light):
+def test_srgb_encoding_and_decoding_are_inverse(light):
     code = encoded(light)
     assert code[0] == pytest.approx(code[1], rel=1e-14, abs=1e-300)
     assert decoded(code[0]) == pytest.approx((light, light), abs=1e-7)
 
 
 @given(st.floats(0.0, 1.0, allow_subnormal=False))
-def test_there_and_back_keeps_what_is_dark(light):
+def test_srgb_is_inverse_to_full_precision_in_the_dark(light):
     assert decoded(encoded(light)[0]) == pytest.approx((light, light), rel=1e-12, abs=0.0)
 
 
 @pytest.mark.parametrize("knee", [0.0, 0.0031308])
-def test_it_is_joined_at_the_knee_and_its_slope_is_bounded(knee):
+def test_the_srgb_curve_is_continuous_at_the_knee_with_bounded_slope(knee):
     step = 1e-9
     before, at, after = srgb_encode(np.array([knee - step, knee, knee + step]))
     assert at - before == pytest.approx(12.92 * step, rel=2e-2, abs=4e-8)
@@ -346,7 +346,7 @@ def test_a_picture_is_clipped():
 
 
 @pytest.mark.parametrize("light", [0.0, 0.001, 0.01, 0.2, 1.0, 3.0])
-def test_its_slope_is_that_of_the_curve(light):
+def test_srgb_slope_is_the_derivative(light):
     at = np.array([light - 1e-6, light + 1e-6])
     rise = np.diff(srgb_encode(at))[0] / 2e-6
     assert srgb_slope(np.array(light)) == pytest.approx(rise, rel=1e-4)
@@ -362,7 +362,7 @@ def stored_inverted(path, picture, **options):
 
 @pytest.mark.parametrize("tile", [None, (32, 32)])
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "uint32", "float16", "float32"])
-def test_white_is_zero_is_no_negative(tmp_path, kind, tile):
+def test_white_is_zero_tiffs_are_inverted_once(tmp_path, kind, tile):
     """Decoders invert 8 bits and leave the others."""
     grey = np.tile(np.linspace(0.1, 0.9, 96), (64, 1))
     dtype = np.dtype(kind)
@@ -455,7 +455,7 @@ def rgb(value, layer=""):
     return {f"{layer}{channel}": plane(value) for channel in "RGB"}
 
 
-def test_the_layer_that_is_meant(tmp_path):
+def test_the_beauty_or_wanted_layer_of_an_exr_is_read(tmp_path):
     """Beauty and the like go before passes, a layer of the wanted name before both."""
     path = tmp_path / "a.exr"
     layers = rgb(0.5, "ViewLayer.AO.") | rgb(2.0, "ViewLayer.Combined.") | rgb(1.0, "View.Normal.")

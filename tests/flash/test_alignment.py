@@ -32,7 +32,7 @@ def tilted_photo(seed, tilt=(0.0, 0.0), width=320):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_it_leans_the_right_way_and_is_not_always_as_sure(axis):
+def test_the_tilt_has_the_right_sign_and_a_varying_deviation(axis):
     """A sign turned in either angle would make errors twice as large as saying nothing."""
     errors, deviations = [], []
     for seed, angle in enumerate((-0.2, -0.15, 0.15, 0.2)):
@@ -43,7 +43,7 @@ def test_it_leans_the_right_way_and_is_not_always_as_sure(axis):
     assert max(deviations) > min(deviations)
 
 
-def test_brightness_does_not_matter_and_what_is_left_out_is_not_seen():
+def test_tilt_is_independent_of_exposure_and_of_left_out_pixels():
     photo = tilted_photo(3)
     whole = tilt_measurement(photo)
     darker = tilt_measurement(replace(photo, pixels=0.5 * photo.pixels))
@@ -56,7 +56,7 @@ def test_brightness_does_not_matter_and_what_is_left_out_is_not_seen():
     assert tilt_measurement(replace(photo, left_out=out, pixels=painted)) == masked
 
 
-def test_its_file_comes_back_and_says_what_is_wrong(tmp_path):
+def test_weights_are_read_back_and_damage_is_named(tmp_path):
     torch.manual_seed(0)
     branch = Alignment().eval()
     save_alignment(tmp_path / "branch.safetensors", branch)
@@ -107,19 +107,19 @@ def test_a_lattice_shows_its_tilt_to_half_a_degree(tilt):
         assert max(std_x, std_y) < math.radians(0.5)
 
 
-def test_a_picture_without_texture_says_nothing():
+def test_a_picture_without_texture_gives_no_tilt():
     found = convergence(np.full((96, 128, 3), 0.2, np.float32)).numpy()
     assert np.abs(found[:, :2]).max() == 0.0 and found[:, 2:].min() > 0.3
 
 
-def test_one_of_uneven_brightness_alone_is_square():
+def test_uneven_brightness_alone_gives_no_tilt():
     """A flash beside the lens: tilt would be its only sign in a texture's brightness."""
     picture = plane((0.0, 0.0), check) * np.linspace(0.3, 1.0, 512, dtype=np.float32)[:, None]
     assert np.abs(convergence(picture).numpy()[:, :2]).max() < 0.01
 
 
 @pytest.mark.parametrize("rows", [1, 2, 8, 15])
-def test_a_strip_says_nothing(rows):
+def test_a_narrow_strip_gives_no_tilt(rows):
     strip = np.random.default_rng(0).random((rows, 4096 if rows < 3 else 256, 3), np.float32)
     assert convergence(strip)[:, :2].abs().max() == 0.0
     assert convergence(strip)[:, 2:].min() > 0.3

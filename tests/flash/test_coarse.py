@@ -331,7 +331,7 @@ def bare_metal(seed, least):
     return find_highlight(light_of(metal)), find_highlight(light_of(mixed))
 
 
-def test_patches_of_metal_make_one_highlight_together():
+def test_metal_patches_form_one_highlight():
     """Between rust every patch is as bright as a highlight is, and far smaller than this one."""
     alone, found = bare_metal(0, 0.5)
     assert math.dist(found.centre, alone.centre) < 0.08
@@ -396,7 +396,9 @@ def ellipse(ratio: float, angle: float, width: float) -> np.ndarray:
 
 @pytest.mark.parametrize("width", [0.015, 0.08, 0.15])
 @pytest.mark.parametrize(("ratio", "angle"), [(1.0, 0.0), (1.5, 0.4), (1.5, -1.2), (2.0, 1.5)])
-def test_length_over_width(ratio: float, angle: float, width: float) -> None:
+def test_elongation_of_the_highlight_is_length_over_width(
+    ratio: float, angle: float, width: float
+) -> None:
     light = ellipse(ratio, angle, width)
     highlight = find_highlight(light)
     assert highlight is not None

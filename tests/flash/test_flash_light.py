@@ -87,7 +87,7 @@ def _written_out(maps: MapSet, setup: FlashSetup, row: int, column: int) -> list
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_radiance_is_the_formula_written_out(exact: bool) -> None:
+def test_radiance_equals_the_written_formula(exact: bool) -> None:
     maps = _maps()
     incidence = FlashLight.of(SETUP, _points()).onto(maps.normal, exact=exact)
     picture = incidence.radiance(maps.diffuse, maps.specular, maps.roughness)
@@ -96,7 +96,7 @@ def test_radiance_is_the_formula_written_out(exact: bool) -> None:
         assert picture[:, row, column].tolist() == pytest.approx(expected, rel=1e-9)
 
 
-def test_single_precision_is_double_precision() -> None:
+def test_single_precision_agrees_with_double() -> None:
     maps = _maps()
     exact = render_flash(maps, SETUP, _points())
     single = render_flash(_maps(torch.float32), SETUP, _points(torch.float32))
@@ -107,7 +107,7 @@ def test_single_precision_is_double_precision() -> None:
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_gradients_are_the_formulas(exact: bool) -> None:
+def test_gradients_agree_with_automatic_differentiation(exact: bool) -> None:
     maps = _maps(smoothest=0.2).crop(8, 6, 4, 3)
     light = FlashLight.of(SETUP, _points()).cut(slice(6, 9), slice(8, 12))
 

@@ -43,7 +43,7 @@ def spot(setup, x, y, size=(128, 96)):
     return photo_of(np.repeat(bright[..., None], 3, axis=2))
 
 
-def test_untilted_and_at_its_own_size_it_is_the_picture_itself():
+def test_rectifying_without_tilt_at_full_size_is_the_identity():
     pixels = np.random.default_rng(0).random((24, 32, 3))
     linear, valid = rectify(photo_of(pixels), a_setup(), 32)
     assert linear.shape == (3, 24, 32)
@@ -55,7 +55,7 @@ def test_untilted_and_at_its_own_size_it_is_the_picture_itself():
 
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.2, 0.0), (0.0, -0.25), (0.15, 0.2)])
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.5, 0.3), (-0.6, -0.4)])
-def test_a_spot_comes_to_lie_where_it_is_on_the_plane(tilt, place):
+def test_a_spot_is_rectified_to_its_place_on_the_plane(tilt, place):
     setup = a_setup(tilt=tilt)
     linear, _ = rectify(spot(setup, *place), setup, 128)
     weight = linear[0] / linear[0].sum()
@@ -79,7 +79,7 @@ def test_radiance_is_kept_where_it_was_seen():
     assert 0.7 < float(valid.float().mean()) < 1.0
 
 
-def test_what_the_camera_did_not_see_is_not_valid():
+def test_unseen_texels_are_invalid():
     setup = a_setup(tilt=(0.0, 0.4))
     _, valid = rectify(photograph(setup), setup, 128)
     rows, columns = np.indices((96, 128))
@@ -93,7 +93,7 @@ def test_what_the_camera_did_not_see_is_not_valid():
     assert torch.allclose(unproject(torch.stack([u, v]), setup), points, atol=1e-9)
 
 
-def test_clipped_pixels_are_not_valid_and_their_neighbours_are():
+def test_clipped_pixels_are_invalid_and_their_neighbours_valid():
     clipped = np.zeros((96, 128), bool)
     clipped[40:60, 50:70] = True
     _, valid = rectify(photo_of(np.full((96, 128, 3), 0.5), clipped), a_setup(), 128)
@@ -136,7 +136,7 @@ def photographed(burnt: bool):
     return linear, valid
 
 
-def test_burnt_texels_say_nothing_of_the_encoding():
+def test_clipped_texels_do_not_decide_the_encoding():
     """Neither of what middle grey is, nor of how much the texture varies."""
     sound, burnt = (plane_of(*photographed(with_burnt)) for with_burnt in (False, True))
     left = sound.linear[:, :, :128]
@@ -147,7 +147,7 @@ def test_burnt_texels_say_nothing_of_the_encoding():
         assert 0.5 < float(deviation) < 1.5
 
 
-def test_where_hardly_anything_was_seen_all_is_looked_at():
+def test_the_encoding_without_valid_texels_uses_all():
     linear, valid = photographed(burnt=True)
     assert plane_of(linear, torch.zeros_like(valid)).encoding.median == float(
         linear.mean(0).median()
@@ -238,12 +238,12 @@ def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(photo, tmp_path)
         (Rectangle(0, 0, 20, 96), "too few to hold a texture"),
     ],
 )
-def test_a_crop_that_cannot_be_is_said(photo, crop, says):
+def test_an_impossible_crop_is_refused(photo, crop, says):
     with pytest.raises(UsageError, match=says):
         leave_out(photo, crop, None)
 
 
-def test_a_mask_that_does_not_fit_is_said(photo, tmp_path):
+def test_a_mask_of_another_size_is_refused(photo, tmp_path):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((8, 9), np.uint8))
     black = a_mask(tmp_path / "black.png", slice(None), slice(None))
@@ -266,7 +266,7 @@ def test_a_mask_of_specks_hides_no_light(photo, tmp_path):
     assert found.offset[:2] == pytest.approx((0.1, 0.05), abs=0.03)
 
 
-def test_settings_say_it_where_it_is_set_alone(tmp_path):
+def test_crop_and_mask_are_stored_only_where_given(tmp_path):
     assert not {"crop", "mask"} & set(CaptureSettings().named())
     settings = CaptureSettings.of({"crop": "1,2,300,400", "mask": "a.png"})
     assert settings.crop == Rectangle(1, 2, 300, 400)
@@ -294,7 +294,7 @@ def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off(photo):
     assert border_crop(replace(photo, pixels=spotted.astype(np.float32))) is None
 
 
-def test_what_a_tilted_photograph_does_not_show_is_left_out():
+def test_texels_outside_of_a_tilted_photograph_are_left_out():
     setup = a_setup(tilt=(0.2, -0.1))
     plane = read_plane(photograph(setup), setup, WIDTH)
     shown = torch.from_numpy(inside((HEIGHT, WIDTH), setup))

@@ -41,7 +41,7 @@ def sparkling() -> tuple[np.ndarray, np.ndarray]:
     return np.where(at, 20.0, spot(0.2, 0.3)), at
 
 
-def test_sparkles_are_bounds(sparkling):
+def test_sparkles_become_lower_bounds(sparkling):
     light, at = sparkling
     limited = limit_sparkles(photo_of(light))
     np.testing.assert_array_equal(limited.clipped, at)
@@ -50,7 +50,7 @@ def test_sparkles_are_bounds(sparkling):
 
 
 @pytest.mark.parametrize("width", [0.02, 0.04, 0.1, 0.3])
-def test_highlights_are_kept(width):
+def test_highlights_are_no_sparkles(width):
     photo = photo_of(spot(width, 12.0))
     limited = limit_sparkles(photo)
     assert limited.clipped.mean() < 1e-3

@@ -264,7 +264,7 @@ def test_a_dng_without_a_neutral_is_balanced_by_its_matrix(tmp_path, more, says)
         np.testing.assert_allclose(photo.balance, NEUTRAL.max() / NEUTRAL, rtol=1e-3)
 
 
-def test_a_neutral_goes_before_a_white_point(tmp_path):
+def test_as_shot_neutral_overrides_a_white_point(tmp_path):
     path = write_dng(
         tmp_path / "a.dng", mosaic(GREY * NEUTRAL), neutral=tuple(NEUTRAL), more=[WHITE_XY]
     )
@@ -313,7 +313,7 @@ def test_calibration_and_analog_balance_are_the_camera_s_own():
     np.testing.assert_allclose(dng_color(stated).neutral, expected / expected.max(), rtol=1e-5)
 
 
-def test_a_forward_matrix_says_the_colours(tmp_path):
+def test_colours_follow_the_forward_matrix(tmp_path):
     """It goes to XYZ relative to D50; here of a camera that mixes like OTHER once balanced."""
     rec709 = np.zeros((96, 128, 3))
     rec709[:, :64], rec709[:, 64:] = (0.5, 0.2, 0.1), (0.1, 0.3, 0.6)
@@ -334,11 +334,11 @@ def test_a_forward_matrix_says_the_colours(tmp_path):
 
 
 @pytest.mark.parametrize("white", [(0.0, 0.0), (0.99, 0.3), (0.3, -0.1)])
-def test_a_white_that_is_none_is_not_followed(white):
+def test_an_impossible_white_point_is_not_followed(white):
     assert "daylight" in dng_color(tags(XYZ_TO_REC709, white=white)).note
 
 
-def test_a_camera_that_nobody_knows_is_told_of(tmp_path):
+def test_a_camera_without_a_colour_matrix_is_noted(tmp_path):
     path = write_dng(tmp_path / "a.dng", mosaic(GREY * NEUTRAL), neutral=tuple(NEUTRAL))
     assert load_photo(path).notes == ()
     entry, none = (struct.pack("<HHI", tag, 10, 9) for tag in (50721, 50720))
@@ -348,7 +348,7 @@ def test_a_camera_that_nobody_knows_is_told_of(tmp_path):
     assert "no colour matrix" in photo.notes[0]
 
 
-def test_without_a_colour_matrix_there_is_nothing_to_work_out():
+def test_a_missing_or_singular_colour_matrix_gives_no_colour():
     assert dng_color({50728: rationals(NEUTRAL)}) is None
     with pytest.raises(ValueError, match="basis|white|singular|Singular"):
         dng_color(tags(np.ones((3, 3)), white=D65))
@@ -426,7 +426,7 @@ def seen(photo):
     ],
     ids=lambda each: getattr(each, "__name__", str(each)),
 )
-def test_png(tmp_path, primaries, encode, chunks, named):
+def test_colour_chunks_of_png_are_followed(tmp_path, primaries, encode, chunks, named):
     photo = load_photo(write_png(tmp_path / "a.png", patches(primaries, encode), *chunks))
     np.testing.assert_allclose(seen(photo), REC709, atol=2e-3)
     assert [named in note for note in photo.notes] == ([True] if named else [])
@@ -444,13 +444,13 @@ def test_png(tmp_path, primaries, encode, chunks, named):
     ],
     ids=str,
 )
-def test_what_is_stated_and_cannot_be_read_is_said(tmp_path, chunks):
+def test_an_unreadable_colour_statement_is_noted(tmp_path, chunks):
     photo = load_photo(write_png(tmp_path / "a.png", patches(None, srgb_encode), *chunks))
     np.testing.assert_allclose(seen(photo), REC709, atol=2e-3)
     assert len(photo.notes) == 1 and "sRGB assumed" in photo.notes[0]
 
 
-def test_the_profile_of_the_page_that_is_read(tmp_path):
+def test_the_profile_is_that_of_the_tiff_page_read(tmp_path):
     """And its orientation: a thumbnail before it has neither."""
     codes = patches(P3, srgb_encode)
     turned = {"iccprofile": matrix_profile(), "extratags": [(274, 3, 1, 3, True)]}
@@ -462,7 +462,7 @@ def test_the_profile_of_the_page_that_is_read(tmp_path):
     assert any("Display P3" in note for note in photo.notes)
 
 
-def test_a_profile_that_lacks_a_part_is_told_of(tmp_path):
+def test_an_incomplete_profile_is_noted(tmp_path):
     path = tmp_path / "a.jpg"
     eight_bits(patches(None, srgb_encode)).save(path, icc_profile=matrix_profile(), quality=100)
     data = path.read_bytes()
@@ -506,7 +506,7 @@ def test_sixty_five_thousand_colours_of_r98_are_srgb(photo_of):
     assert "uncalibrated" in photo_of(picture, "b.jpg", **BEST, exif=exif_of(None, 65535)).notes[0]
 
 
-def test_a_profile_goes_before_exif(photo_of):
+def test_a_profile_overrides_the_colour_space_of_exif(photo_of):
     picture, given = eight_bits(patches(P3, srgb_encode)), {"icc_profile": matrix_profile()}
     photo = photo_of(picture, "a.jpg", **BEST, **given, exif=exif_of("R03", 65535))
     np.testing.assert_allclose(seen(photo), REC709, atol=1e-2)
@@ -552,7 +552,7 @@ def with_nclx(path, primaries, transfer):
 
 
 @pytest.mark.parametrize("form", ["avif", "heic"])
-def test_nclx(tmp_path, form):
+def test_colour_code_points_of_nclx_are_followed(tmp_path, form):
     path = tmp_path / f"a.{form}"
     picture = eight_bits(patches(P3, srgb_encode))
     if form == "heic":

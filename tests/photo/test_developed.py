@@ -33,14 +33,14 @@ def deep(codes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_8_bits_are_exact(photo_of, codes, suffix):
+def test_eight_bit_codes_are_decoded_exactly(photo_of, codes, suffix):
     photo = photo_of(codes, f"a.{suffix}")
     np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
     assert not photo.radiometric and photo.original_size == (128, 96)
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_16_bits_are_exact(tmp_path, deep, suffix):
+def test_sixteen_bit_codes_are_decoded_exactly(tmp_path, deep, suffix):
     path = tmp_path / f"a.{suffix}"
     assert cv2.imwrite(str(path), deep[..., ::-1])  # OpenCV's TIFF is LZW-compressed
     np.testing.assert_allclose(load_photo(path).pixels, srgb_decode(deep / 65535), rtol=1e-6)
@@ -57,7 +57,7 @@ def test_16_bits_are_exact(tmp_path, deep, suffix):
     ],
     ids=lambda options: next(iter(options)),
 )
-def test_kinds_of_tiff(tmp_path, deep, options):
+def test_kinds_of_tiff_are_read(tmp_path, deep, options):
     path = tmp_path / "a.tif"
     stored = np.moveaxis(deep, -1, 0) if "planarconfig" in options else deep
     tifffile.imwrite(path, stored, photometric="rgb", **options)
@@ -81,7 +81,7 @@ def test_png_gamma_one_is_linear(photo_of, codes):
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])
-def test_other_png_modes(photo_of, codes, mode):
+def test_other_png_modes_are_read(photo_of, codes, mode):
     image = Image.fromarray(codes).convert(mode)
     expected = srgb_decode(np.asarray(image.convert("RGB")) / 255)
     np.testing.assert_allclose(photo_of(image, "a.png").pixels, expected, atol=1e-6)
@@ -120,11 +120,11 @@ def test_opaque_alpha_is_ignored_and_almost_nothing_opaque_is_refused(photo_of, 
         photo_of(np.dstack([codes, alpha]), "b.png")
 
 
-def test_content_wins_over_the_name(photo_of, codes):
+def test_content_overrides_the_suffix(photo_of, codes):
     assert photo_of(codes, "a.dng", format="JPEG").pixels.shape == (96, 128, 3)
 
 
-def test_grey_jpeg(photo_of, codes):
+def test_a_grey_jpeg_is_read(photo_of, codes):
     pixels = photo_of(codes[..., 0], "a.jpg", quality=100).pixels
     np.testing.assert_array_equal(pixels[..., 0], pixels[..., 2])
 
@@ -173,7 +173,7 @@ def test_second_picture_of_a_jpeg_is_left_alone(photo_of, codes):
 
 
 @pytest.mark.parametrize("form", ["webp", "avif"])
-def test_webp_and_avif(photo_of, codes, form):
+def test_webp_and_avif_are_read(photo_of, codes, form):
     turned, seen = Image.Exif(), Image.Exif()
     turned[0x0112] = 3  # which Pillow stores in AVIF as the container's own rotation
     seen.get_ifd(0x8769)[0xA405] = 26
@@ -238,7 +238,7 @@ def test_cielab_is_refused(tmp_path, codes, kind):
         load_photo(tmp_path / "a.tif")
 
 
-def test_heic(tmp_path, codes):
+def test_heic_is_read(tmp_path, codes):
     pillow_heif = pytest.importorskip("pillow_heif")
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = 26
@@ -274,7 +274,7 @@ def area_matrix(size: int, new: int) -> np.ndarray:
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(64, 200), st.integers(64, 200), st.integers(16, 199), st.integers(0, 999))
-def test_is_the_area_mean(width, height, long_side, seed):
+def test_a_smaller_picture_is_the_area_mean(width, height, long_side, seed):
     rng = np.random.default_rng(seed)
     pixels = rng.random((height, width, 3)).astype(np.float32)
     mask = rng.random((height, width)) < 0.3
@@ -286,7 +286,7 @@ def test_is_the_area_mean(width, height, long_side, seed):
     np.testing.assert_allclose(small, expected, atol=2e-5)
 
 
-def test_strips_do_not_show(monkeypatch):
+def test_reading_by_strips_leaves_no_borders(monkeypatch):
     pixels = np.random.default_rng(0).random((150, 200, 3)).astype(np.float32)
     mask = pixels[..., 0] > 0.8
     whole = shrink(reader(pixels, mask), 200, 150, 77)
@@ -394,26 +394,26 @@ def refuse(path: Path) -> MatcapError:
     return error
 
 
-def test_missing(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     error = refuse(tmp_path / "none.dng")
     assert "no such file" in error.what and isinstance(error.__cause__, FileNotFoundError)
 
 
-def test_directory(tmp_path):
+def test_a_directory_is_refused(tmp_path):
     assert "directory" in refuse(tmp_path).what
 
 
-def test_empty(tmp_path):
+def test_an_empty_file_is_refused(tmp_path):
     (tmp_path / "a.dng").touch()
     assert "empty" in refuse(tmp_path / "a.dng").what
 
 
-def test_not_a_regular_file(tmp_path):
+def test_a_file_that_is_not_regular_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.jpg")  # opening it would wait for ever
     assert "not a file" in refuse(tmp_path / "pipe.jpg").what
 
 
-def test_no_permission(tmp_path, codes, monkeypatch):
+def test_a_file_without_permission_is_refused(tmp_path, codes, monkeypatch):
     path = tmp_path / "a.png"
     Image.fromarray(codes).save(path)
 
@@ -426,7 +426,7 @@ def test_no_permission(tmp_path, codes, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["notes.dng", "notes.jpg", "notes.nef", "notes.xyz"])
-def test_text_under_a_false_name(tmp_path, name):
+def test_text_with_the_suffix_of_a_picture_is_refused(tmp_path, name):
     (tmp_path / name).write_text("Dear diary, today I photographed a wall.\n" * 30)
     assert "text file" in refuse(tmp_path / name).what
 
@@ -434,7 +434,7 @@ def test_text_under_a_false_name(tmp_path, name):
 @pytest.mark.parametrize(
     "head", [b"%PDF-1.7\n\x80\x81", b"PK\x03\x04\0\0", b"\0\0\0\x20ftypisom", b"\0"]
 )
-def test_wrong_type(tmp_path, head):
+def test_an_unknown_type_is_refused(tmp_path, head):
     (tmp_path / "a.jpg").write_bytes(head + bytes(2000))
     assert "not a photograph" in refuse(tmp_path / "a.jpg").what
 
@@ -447,18 +447,18 @@ def test_a_header_alone_and_zeros_are_no_raw(tmp_path, data):
 
 @pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
 @pytest.mark.parametrize("shape", [(1, 1), (63, 500), (500, 63)])
-def test_too_small(tmp_path, suffix, shape):
+def test_a_too_small_picture_is_refused(tmp_path, suffix, shape):
     path = tmp_path / f"a.{suffix}"
     Image.fromarray(np.full((*shape, 3), 128, np.uint8)).save(path)
     assert "too small" in refuse(path).what
 
 
-def test_too_small_raw(tmp_path):
+def test_a_too_small_raw_is_refused(tmp_path):
     path = write_dng(tmp_path / "a.dng", mosaic(np.full((40, 90, 3), 0.3)))
     assert "too small" in refuse(path).what
 
 
-def test_a_header_that_claims_too_much(tmp_path, codes):
+def test_a_header_with_an_absurd_size_is_refused(tmp_path, codes):
     """Refused before memory is asked for: 13 gigapixels in a file of a few kilobytes."""
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, codes, photometric="rgb", compression="zlib")
@@ -471,7 +471,7 @@ def test_a_header_that_claims_too_much(tmp_path, codes):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_values_that_are_no_numbers(tmp_path, light, value):
+def test_nan_is_refused(tmp_path, light, value):
     light[50, 60, 1] = value
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, light.astype(np.float32), photometric="rgb")
@@ -480,14 +480,14 @@ def test_values_that_are_no_numbers(tmp_path, light, value):
 
 @pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
 @pytest.mark.parametrize(("value", "word"), [(0, "all black"), (255, "all white")])
-def test_nothing_to_see(tmp_path, suffix, value, word):
+def test_a_black_picture_is_refused(tmp_path, suffix, value, word):
     path = tmp_path / f"a.{suffix}"
     Image.fromarray(np.full((96, 128, 3), value, np.uint8)).save(path)
     assert word in refuse(path).what
 
 
 @pytest.mark.parametrize(("value", "word"), [(0.0, "all black"), (2.0, "all white")])
-def test_nothing_to_see_in_raw(tmp_path, value, word):
+def test_a_black_raw_is_refused(tmp_path, value, word):
     path = write_dng(tmp_path / "a.dng", mosaic(np.full((96, 128, 3), value)))
     assert word in refuse(path).what
 
@@ -508,7 +508,7 @@ def whole(tmp_path_factory) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("form", ["jpg", "png", "tif", "dng"])
-def test_half_a_file(tmp_path, whole, form, capfd):
+def test_a_truncated_file_is_refused(tmp_path, whole, form, capfd):
     path = tmp_path / f"half.{form}"
     path.write_bytes(whole[form][: len(whole[form]) // 2])
     error = refuse(path)
@@ -551,7 +551,7 @@ def read_or_refuse(path: Path) -> None:
     assert np.isfinite(photo.pixels).all() and photo.pixels.min() >= 0.0
 
 
-def test_what_is_not_supported_is_not_called_damaged(tmp_path, codes):
+def test_unsupported_files_are_not_reported_as_damaged(tmp_path, codes):
     """Whole files: a JPEG of 12 bits by its frame, lossless ones, TIFFs of rare codings, others."""
     Image.fromarray(codes).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()

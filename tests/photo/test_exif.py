@@ -85,14 +85,14 @@ def focal_plane(length=4.0, per_unit=1000.0, unit=3, film=None, pixels=None):
     ],
     ids=str,
 )
-def test_the_focal_plane_goes_before_film(photo_of, codes, tags, half, says):
+def test_focal_plane_resolution_overrides_the_35_mm_focal_length(photo_of, codes, tags, half, says):
     photo = photo_of(codes, "a.jpg", exif=focal_plane(**tags))
     assert np.tan(np.radians(photo.fov / 2)) == pytest.approx(half, rel=1e-3)
     assert [f"{photo.fov:.1f} taken" in note for note in photo.notes] == ([True] if says else [])
 
 
 @pytest.mark.parametrize("sideways", [False, True])
-def test_a_camera_matrix_goes_before_exif(tmp_path, codes, sideways):
+def test_a_camera_matrix_overrides_exif(tmp_path, codes, sideways):
     """ISO/IEC 23008-12's cmin in place of a property that is not needed: pasp made into it."""
     pillow_heif = pytest.importorskip("pillow_heif")
     heif = pillow_heif.from_pillow(Image.fromarray(codes))
@@ -184,7 +184,7 @@ def test_a_shape_cut_from_a_phones_picture_keeps_its_distance():
 
 @pytest.mark.parametrize("xmp", [AS_ATTRIBUTES, AS_ELEMENTS], ids=["attributes", "elements"])
 @pytest.mark.parametrize("form", ["jpg", "png", "tif", "webp"])
-def test_orientation_in_xmp_alone(tmp_path, codes, form, xmp):
+def test_orientation_in_xmp_is_applied(tmp_path, codes, form, xmp):
     options = {"lossless": True} if form == "webp" else {}
     save_with_xmp(tmp_path / f"a.{form}", codes, xmp, **options)
     Image.fromarray(codes).save(tmp_path / f"b.{form}", **options)
@@ -193,13 +193,13 @@ def test_orientation_in_xmp_alone(tmp_path, codes, form, xmp):
     assert photo.fov == pytest.approx(fov_of_film(26, 4, 3)) and plain.fov == pytest.approx(66.0)
 
 
-def test_exif_goes_before_xmp(tmp_path, codes):
+def test_exif_orientation_overrides_xmp(tmp_path, codes):
     save_with_xmp(tmp_path / "a.jpg", codes, AS_ATTRIBUTES, exif=exif(1, 30))
     found = read_exif(tmp_path / "a.jpg")
     assert (found.orientation, found.film_focal_length) == (1, 30)
 
 
-def test_no_exif_at_all(tmp_path, codes):
+def test_a_file_without_exif_is_read(tmp_path, codes):
     path = tmp_path / "a.jpg"
     Image.fromarray(codes).save(path)
     assert read_exif(path) == Exif()

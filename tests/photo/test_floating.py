@@ -49,7 +49,7 @@ def test_light_above_white_is_kept(tmp_path, bright, name):
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_white_is_given(tmp_path, bright, name):
+def test_white_can_be_given(tmp_path, bright, name):
     WRITERS[name](tmp_path / name, bright)
     photo = load_photo(tmp_path / name, white=4.0)
     np.testing.assert_allclose(photo.pixels, bright / 4.0, rtol=0.01, atol=0.01)
@@ -75,7 +75,7 @@ def test_a_level_that_many_pixels_share_is_the_limit(tmp_path, bright):
     np.testing.assert_array_equal(photo.clipped, (bright >= 3.0 * (1.0 - 1e-4)).any(axis=2))
 
 
-def test_up_to_white_it_is_as_before(tmp_path, light):
+def test_values_up_to_white_are_unchanged(tmp_path, light):
     WRITERS["a.tif"](tmp_path / "a.tif", np.minimum(1.5 * light, 1.0).astype(np.float32))
     photo = load_photo(tmp_path / "a.tif")
     assert photo.headroom == 1.0

@@ -47,7 +47,7 @@ BLOCK = iso(LOW, HIGH, GAMMA, BASE_OFFSET, OFFSET, more=bytes(60))
 
 
 @pytest.mark.parametrize("said", [hdrgm(**NUMBERS), BLOCK], ids=["xmp", "iso"])
-def test_light_is_by_the_formula(tmp_path, codes, gains, said):
+def test_radiance_follows_the_formula_of_iso_21496(tmp_path, codes, gains, said):
     path = write(tmp_path / "a.jpg", jpeg(codes, [hdrgm()]), jpeg(gains, [said]))
     photo = load_photo(path)
     light = expected(srgb_decode(codes / 255.0), gains[..., None] / 255.0)
@@ -58,7 +58,7 @@ def test_light_is_by_the_formula(tmp_path, codes, gains, said):
     assert photo.tone_mapped and photo.development.shoulder == 0.0
 
 
-def test_channels_have_their_own_numbers(tmp_path, codes, gains):
+def test_each_channel_has_its_own_parameters(tmp_path, codes, gains):
     numbers = NUMBERS | {"GainMapMax": (1.0, 2.0, 3.0), "Gamma": (1.0, 1.2, 2.0)}
     three = np.stack([gains, gains[::-1], gains[:, ::-1]], axis=-1)
     path = write(tmp_path / "a.jpg", jpeg(codes, [hdrgm()]), jpeg(three, [hdrgm(**numbers)]))
@@ -67,7 +67,7 @@ def test_channels_have_their_own_numbers(tmp_path, codes, gains):
     assert agrees(load_photo(path).pixels, light)
 
 
-def test_the_iso_form_goes_before_apples(tmp_path, codes, gains):
+def test_iso_metadata_override_those_of_apple(tmp_path, codes, gains):
     other = np.full_like(gains, 128)
     path = write(
         tmp_path / "a.jpg",
@@ -90,7 +90,7 @@ def test_the_iso_form_goes_before_apples(tmp_path, codes, gains):
         (maker_note(1.2, 0.5), 2 ** (2.303 - 0.303 * 0.5)),
     ],
 )
-def test_apples_map(tmp_path, codes, gains, smaller, note, headroom):
+def test_a_gain_map_of_apple_is_applied(tmp_path, codes, gains, smaller, note, headroom):
     base = jpeg(codes, exif=exif(note=note))
     small = gains[smaller // 2 :: smaller, smaller // 2 :: smaller]
     path = write(tmp_path / "a.jpg", base, jpeg(small, [apple_xmp(None if note else 4.0)]))
@@ -101,7 +101,7 @@ def test_apples_map(tmp_path, codes, gains, smaller, note, headroom):
     assert photo.headroom == pytest.approx(headroom, rel=1e-3)
 
 
-def test_apples_map_may_have_a_profile(tmp_path, codes, gains):
+def test_a_gain_map_of_apple_may_have_a_profile(tmp_path, codes, gains):
     curve = parametric(0, 1.0)
     profile = matrix_profile(curve=curve, name="linear")
     map_of = jpeg(np.stack([gains] * 3, axis=-1), [apple_xmp(4.0)], icc_profile=profile)
@@ -120,7 +120,7 @@ def test_a_base_in_display_p3_keeps_its_colours(tmp_path, codes, gains):
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_the_map_turns_with_its_picture(tmp_path, codes, gains, orientation):
+def test_the_gain_map_is_rotated_with_its_picture(tmp_path, codes, gains, orientation):
     base = jpeg(codes, [hdrgm()], exif=exif(orientation))
     small = gains[1::2, 1::2]
     photo = load_photo(write(tmp_path / "a.jpg", base, jpeg(small, [BLOCK])))
@@ -178,7 +178,7 @@ def test_damaged_bytes_raise_nothing_else(codes, gains):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_apples_map_of_a_heic_is_turned_with_its_base(tmp_path, gains, turned):
+def test_a_heic_gain_map_of_apple_is_rotated_with_its_base(tmp_path, gains, turned):
     """An auxiliary picture may be handed out as stored; its headroom is in the file's XMP."""
     path = tmp_path / "a.heic"
     path.write_bytes(b"ftyp" + apple_xmp(4.0))

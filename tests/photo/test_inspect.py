@@ -19,11 +19,11 @@ from simulated.materials import piece
 from simulated.photographs import PhoneCamera, as_photo, take
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.inspection import photograph_quality
+from matcap.capture.inspection import _darker, photograph_quality
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_decode
-from matcap.flash.coarse.fit import fit_coarse, rescale_to_flash
+from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.calibrate import PATCHES, calibrated, card_sentence, fit_patches, read_card
 from matcap.photo.checks import Rating
@@ -89,7 +89,7 @@ def test_the_clipped_share_is_within_one_percent(shots, tmp_path, gain):
     assert np.abs(errors).mean() < 0.01
 
 
-def test_the_tilt_leans_to_the_side_that_it_has(shots):
+def test_the_sign_of_the_tilt_is_right(shots):
     """RAW, as captures estimate it: no farther off than half of what square to the sample is."""
     errors, square = [], []
     for (name, index), shot in shots.items():
@@ -117,7 +117,7 @@ def test_a_good_photograph_is_called_good():
     assert found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
 
 
-def test_what_is_only_worth_knowing_leaves_a_photograph_good(shots):
+def test_notes_leave_a_photograph_rated_good(shots):
     found = inspect_photo(as_photo(shots["granite", 0], 1, "a"), (0.01, 0.0))
     notes = [finding for finding in found.findings if finding.rating is Rating.NOT_JUDGED]
     only = replace(found, findings=tuple(notes))
@@ -143,13 +143,13 @@ def test_a_flat_grey_is_not_called_sharp():
         ((0.0, 0.15), True, "upper side"),
     ],
 )
-def test_a_tilt_is_told_in_directions_of_the_upright_picture(tilt, turned, side):
+def test_the_tilt_is_in_directions_of_the_upright_picture(tilt, turned, side):
     finding = inspect_photo(photo_of(grey(), turned=turned), tilt)["tilt"]
     assert finding.rating is not Rating.GOOD
     assert side in finding.says and side in finding.remedy
 
 
-def test_the_hot_spot_of_a_portrait_is_told_upright(tmp_path):
+def test_the_hot_spot_of_a_portrait_is_in_upright_coordinates(tmp_path):
     """The same picture lying and standing: the file's own left top is what is told."""
     pixels = np.roll(grey(0.02), 50, axis=1).clip(0, 1)  # towards the right
     cv2.imwrite(str(tmp_path / "lying.png"), (pixels * 255).astype(np.uint8))
@@ -161,7 +161,7 @@ def test_the_hot_spot_of_a_portrait_is_told_upright(tmp_path):
     assert stood[1] > 0.6
 
 
-def test_what_is_wrong_is_said_with_a_remedy():
+def test_every_fault_has_a_remedy():
     burnt = photo_of(np.minimum(grey() * 3.0, 1.0))
     cases = {
         "clipped": (burnt, "lower the exposure"),
@@ -178,7 +178,7 @@ def test_what_is_wrong_is_said_with_a_remedy():
 
 
 @pytest.mark.parametrize("blur", [1.0, 2.0, 3.0])
-def test_softness_is_about_the_blur_in_pixels(blur):
+def test_softness_estimates_the_blur_in_pixels(blur):
     """Of a picture whose gradients are equally strong at all sizes: white noise, integrated."""
     rng = np.random.default_rng(0)
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(512), np.fft.fftfreq(512)))
@@ -190,7 +190,7 @@ def test_softness_is_about_the_blur_in_pixels(blur):
     assert found == pytest.approx(blur, rel=0.25)
 
 
-def test_two_materials_in_one_picture_do_not_look_the_same_all_over(shots):
+def test_two_materials_in_one_picture_are_not_uniform(shots):
     one, other = (as_photo(shots[name, 0], 1, name) for name in ("leather", "cloth"))
     mixed = one.pixels.copy()
     mixed[:, 160:] = other.pixels[:, 160:] * one.pixels.mean() / other.pixels.mean()
@@ -215,7 +215,7 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
 
 
-def test_what_was_noticed_when_reading_is_a_finding():
+def test_notes_of_reading_are_findings():
     plain = inspect_photo(photo_of(grey(), flash_fired=True))
     assert "reading" not in plain.document()
     notes = ("The file carries an HDR gain map, which was not applied.", "Daylight assumed.")
@@ -224,21 +224,21 @@ def test_what_was_noticed_when_reading_is_a_finding():
     assert found.rating is plain.rating
 
 
-def test_an_assumed_field_of_view_is_told_of(tmp_path, codes):
+def test_an_assumed_field_of_view_is_a_finding(tmp_path, codes):
     Image.fromarray(codes).save(tmp_path / "a.png")
     assert "66 degrees assumed" in inspect_photo(load_photo(tmp_path / "a.png"))["reading"].says
     given = inspect_photo(load_photo(tmp_path / "a.png", fov=60.0))
     assert "reading" not in given.document()
 
 
-def test_the_command_speaks_in_lines(shots, tmp_path, capsys):
+def test_the_command_prints_lines(shots, tmp_path, capsys):
     write_jpeg(tmp_path / "a.jpg", shots["granite", 0], 1)
     assert main(["inspect", str(tmp_path / "a.jpg")]) == 0
     out = capsys.readouterr().out
     assert "square to the sample" in out and "albedo is relative" in out
 
 
-def test_a_folder_is_a_line_a_photograph(shots, tmp_path, capsys):
+def test_a_folder_prints_a_line_per_photograph(shots, tmp_path, capsys):
     write_jpeg(tmp_path / "a.jpg", shots["granite", 0], 1)
     Image.fromarray(np.full((300, 400, 3), 90, np.uint8)).save(tmp_path / "plain.png")
     assert main(["inspect", str(tmp_path)]) == 0
@@ -366,3 +366,31 @@ def test_a_photograph_without_a_card_is_refused(tmp_path):
     write_jpeg(tmp_path / "card.jpg", shot, 1)
     with pytest.raises(MatcapError, match="no card is seen"):
         read_card(tmp_path / "card.jpg")
+
+
+# Advice for a clipped highlight: how many stops darker another exposure is to be.
+
+
+def fit(intensity: float, roughness: float = 0.2) -> CoarseFit:
+    setup = FlashSetup(fov=66.0).with_intensity((intensity,) * 3)
+    return CoarseFit((0.2, 0.2, 0.2), 0.04, roughness, setup, residual=0.1)
+
+
+def stops(advice: str) -> int:
+    return int(advice.split(" stops")[0].rsplit(" ", 1)[1])
+
+
+def test_the_brighter_the_highlight_the_darker_the_exposure():
+    advised = [stops(_darker(fit(intensity), 1.0)) for intensity in (0.01, 0.3, 1.0, 4.0, 1000.0)]
+    assert (
+        advised == sorted(advised)
+        and advised[0] == 2
+        and advised[-1] == 6
+        and len(set(advised)) >= 3
+    )
+    assert stops(_darker(fit(4.0), 4.0)) == stops(_darker(fit(1.0), 1.0))
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.5])
+def test_the_advice_names_the_position(roughness):
+    assert "from the same place" in _darker(fit(1.0, roughness), 1.0)

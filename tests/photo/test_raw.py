@@ -23,7 +23,7 @@ NEUTRAL = (0.5, 1.0, 0.6)
 MIXING = np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.25, 0.7]])
 
 
-def test_slope_is_one_and_offset_none(tmp_path):
+def test_decoded_values_are_proportional_to_light(tmp_path):
     levels = np.linspace(0.02, 0.9, 12)
     light = np.repeat(levels, 16)[None, :, None] * np.ones((96, 1, 3))
     photo = load_photo(write_dng(tmp_path / "ramp.dng", mosaic(light)))
@@ -68,7 +68,7 @@ def test_orientation_is_applied_once(tmp_path, light, planes, orientation):
     assert photo.original_size == ((96, 128) if sideways else (128, 96))
 
 
-def test_colors_come_out_of_the_camera_s(tmp_path):
+def test_camera_colours_become_rec709(tmp_path):
     rec709 = np.zeros((96, 128, 3))
     rec709[:, :64], rec709[:, 64:] = (0.5, 0.2, 0.1), (0.1, 0.3, 0.6)
     samples = mosaic(rec709 @ MIXING.T * NEUTRAL)
@@ -78,7 +78,7 @@ def test_colors_come_out_of_the_camera_s(tmp_path):
     np.testing.assert_allclose(photo.pixels[4:-4, inner], rec709[4:-4, inner], atol=1.5e-3)
 
 
-def test_what_the_colour_matrix_lifts_past_one_is_kept(tmp_path):
+def test_values_above_one_after_the_colour_matrix_are_kept(tmp_path):
     """No photosite is at its limit; Rec.709 red is over 1, and nothing cuts it off."""
     rec709 = np.full((96, 128, 3), 0.3)
     rec709[:, :64, 0] = 1.15
@@ -145,7 +145,7 @@ def test_exif_of_a_dng(tmp_path, light):
     assert (photo.fov_source, photo.flash_fired) == ("exif", True)
 
 
-def test_odd_sizes(tmp_path):
+def test_odd_sizes_are_decoded(tmp_path):
     light = np.full((97, 131, 3), 0.3)
     path = write_dng(tmp_path / "a.dng", mosaic(light))
     for long_side, shape in [(None, (97, 131)), (65, (48, 65)), (100, (74, 100))]:
@@ -176,14 +176,14 @@ print("and again", file=sys.stderr)
 """
 
 
-def test_only_decoders_are_silenced():
+def test_only_the_output_of_decoders_is_silenced():
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True
     )
     assert done.stderr == "progress\nafter\nand again\n"
 
 
-def test_process_without_stderr():
+def test_a_process_without_stderr_reads_raws():
     script = "import os; os.close(2)\nfrom matcap.files.process import quiet_decoders\n"
     script += "with quiet_decoders(): print('read')"
     done = subprocess.run(
@@ -225,7 +225,7 @@ def noisy(light, sensor, seed=1):
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_a_plain_surface_tells_the_noise(sensor):
+def test_noise_is_estimated_from_a_plain_surface(sensor):
     true = numbers_of(*sensor)
     found = find_noise(noisy(falloff(), true), LEVELS, WHITE)
     signal = np.array([0.06, 0.2, 0.5]) * RANGE
@@ -246,13 +246,13 @@ def test_texture_is_not_taken_for_noise(sensor):
     assert (share > 0.85).all() and (share < 1.6).all()
 
 
-def test_without_noise_next_to_none_is_found():
+def test_a_noiseless_raw_has_next_to_no_noise():
     found = find_noise(mosaic(falloff()), LEVELS, WHITE)
     signal = 0.2 * RANGE
     assert found.shot * signal + found.read < 1.0  # rounding alone varies by 1/12
 
 
-def test_what_is_added_has_the_variance_it_states():
+def test_added_noise_has_the_variance_of_the_model():
     sensor = SensorNoise(2.0, 30.0)
     for level in (0.0, 0.05, 0.5):
         flat = mosaic(np.full((512, 512, 3), level), black=600)
@@ -272,16 +272,16 @@ def test_black_levels_may_differ_by_place():
 
 
 @pytest.mark.parametrize("size", [(16, 16), (63, 65), (2, 2)])
-def test_too_little_to_tell_is_none(size):
+def test_too_few_pixels_give_no_noise_estimate(size):
     assert find_noise(np.full(size, 900, np.uint16), LEVELS, WHITE) is None
 
 
-def test_an_overexposed_picture_is_none():
+def test_an_overexposed_picture_gives_no_noise_estimate():
     assert find_noise(np.full((512, 512), WHITE, np.uint16), LEVELS, WHITE) is None
 
 
 @pytest.mark.parametrize("long_side", [None, 800, 512, 300])
-def test_the_draw_looks_like_the_noise_in_the_picture(tmp_path, long_side):
+def test_drawn_noise_has_the_spectrum_of_the_real_noise(tmp_path, long_side):
     """Through demosaicing, white balance and shrinking, whole and two by two."""
     true = numbers_of(2000.0, 3.0)
     neutral = (0.5, 1.0, 0.6)
@@ -301,7 +301,7 @@ def test_the_draw_looks_like_the_noise_in_the_picture(tmp_path, long_side):
     assert beside(photo.noise) == pytest.approx(beside(real), abs=0.1)
 
 
-def test_lens_shading_lifts_the_noise_too(tmp_path):
+def test_lens_shading_scales_the_noise(tmp_path):
     light = np.full((384, 512, 3), 0.2)
     gains = np.ones((2, 2, 1)) * np.array([1.0, 3.0])[None, :, None]
     opcodes = opcode_list(gain_map(gains, (384, 512)))
@@ -310,7 +310,7 @@ def test_lens_shading_lifts_the_noise_too(tmp_path):
     assert noise[:, -40:].std() > 2.0 * noise[:, :40].std()
 
 
-def test_a_portrait_s_noise_lies_as_it_does(tmp_path):
+def test_noise_of_a_portrait_is_rotated_with_it(tmp_path):
     dark_left = np.full((512, 384, 3), 0.3)
     dark_left[:256] = 0.03
     path = write_dng(tmp_path / "a.dng", noisy(dark_left, numbers_of(500.0, 3.0)))
@@ -320,7 +320,7 @@ def test_a_portrait_s_noise_lies_as_it_does(tmp_path):
     assert photo.noise[dark].std() < 0.7 * photo.noise[~dark].std()
 
 
-def test_there_is_none_where_it_is_not_asked_for_or_has_averaged_out(tmp_path, codes):
+def test_noise_is_not_drawn_unless_wanted_or_where_averaged_out(tmp_path, codes):
     path = write_dng(tmp_path / "a.dng", noisy(falloff(), numbers_of(2000.0, 3.0)))
     assert load_photo(path, noise=False).noise is None
     assert load_photo(path, long_side=1024 // 6).noise is None
@@ -358,7 +358,7 @@ def stored(light, planes: int):
 
 @pytest.mark.parametrize("byteorder", ["<", ">"])
 @pytest.mark.parametrize("planes", [1, 3])
-def test_a_plain_copy_is_the_file_uncompressed(tmp_path, light, planes, byteorder):
+def test_the_uncompressed_copy_has_the_same_samples(tmp_path, light, planes, byteorder):
     options = {
         "neutral": NEUTRAL,
         "color_matrix": color_matrix(np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0, 0.3, 0.7]])),
@@ -408,7 +408,7 @@ def test_reads_jpeg_xl(tmp_path, light, planes):
     same(photo, load_photo(write_dng(tmp_path / "b.dng", samples)))
 
 
-def test_what_is_cut_off_is_named_by_its_own_name(tmp_path, light):
+def test_a_truncated_copy_is_reported_by_the_original_name(tmp_path, light):
     path = write_dng(tmp_path / "a.dng", stored(light, 1), **TILED)
     path.write_bytes(path.read_bytes()[:-4000])
     with pytest.raises(MatcapError, match=r"a\.dng: the DNG file is truncated"), plain_copy(path):
@@ -460,7 +460,7 @@ def test_gains_follow_the_standard(grid):
         assert gains[row - 10, column, 0] == pytest.approx(expected, rel=1e-6)
 
 
-def test_strips_join_up(grid):
+def test_strips_of_gain_maps_join(grid):
     maps = parse_opcodes(opcode_list(gain_map(grid, SIZE, offset=(1, 0), pitch=2)))[0]
     shading = Shading(maps, SIZE, SIZE)
     strips = [shading.gains(top, min(top + 7, 96), 1) for top in range(0, 96, 7)]
@@ -507,7 +507,7 @@ def test_gains_do_not_clip_what_was_not_clipped(tmp_path):
     assert not photo.clipped.any()
 
 
-def test_map_by_photosite_reaches_its_colour(tmp_path):
+def test_a_gain_map_by_photosite_applies_to_its_colour(tmp_path):
     """Red photosites were shaded to a half, the others not."""
     opcodes = opcode_list(gain_map(np.full((1, 1, 1), 2.0), SIZE, pitch=2))
     light = np.full((*SIZE, 3), 0.4) * (0.5, 1.0, 1.0)
@@ -535,7 +535,7 @@ def test_linear_dng_by_plane(tmp_path, grid, option):
 
 
 @pytest.mark.parametrize("long_side", [None, 64])
-def test_after_demosaicing(tmp_path, long_side):
+def test_gain_maps_after_demosaicing_are_applied(tmp_path, long_side):
     y, x = np.mgrid[-1:1:3j, -1:1:3j]
     grid = (1.0 + 0.3 * x + 0.2 * y)[..., None]
     opcodes = opcode_list(gain_map(grid, SIZE, planes=3))
@@ -547,7 +547,7 @@ def test_after_demosaicing(tmp_path, long_side):
     np.testing.assert_allclose(photo.pixels[1:-1, 1:-1], 0.4, rtol=1e-2)
 
 
-def test_after_demosaicing_by_colour_and_past_white(tmp_path):
+def test_gain_maps_after_demosaicing_apply_by_colour_and_above_white(tmp_path):
     gains = np.array([2.0, 1.5, 1.6])
     opcodes = opcode_list(gain_map(np.tile(gains, (2, 2, 1)), SIZE, planes=3))
     path = write_dng(
@@ -574,7 +574,7 @@ def test_places_count_from_the_active_area(tmp_path, grid):
 
 
 @pytest.mark.parametrize(("opcode", "named"), [(1, "distortion"), (12, "rows"), (5, None)])
-def test_what_changes_light_or_place_is_named(tmp_path, light, opcode, named):
+def test_opcodes_that_change_light_or_position_are_named(tmp_path, light, opcode, named):
     asked = opcode_list(struct.pack(">4I", opcode, 0x01030000, 0, 4) + bytes(4))
     photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=asked))
     assert [named in note for note in photo.notes] == ([True] if named else [])

@@ -41,7 +41,7 @@ def test_black_by_place_counts_from_the_active_area(tmp_path, corner):
     np.testing.assert_allclose(means(path), GREY, rtol=0.03)
 
 
-def test_black_by_row_and_column(tmp_path):
+def test_black_levels_by_row_and_column_are_subtracted(tmp_path):
     rows, columns = np.indices(SIZE)
     by_row, by_column = 100 * (np.arange(SIZE[0]) % 7), 50 * (np.arange(SIZE[1]) % 5)
     black = 64 + by_row[rows] + by_column[columns]
@@ -55,7 +55,7 @@ def test_black_by_row_and_column(tmp_path):
     np.testing.assert_allclose(photo.pixels, GREY, rtol=0.01)
 
 
-def test_levels_by_plane(tmp_path):
+def test_levels_by_plane_are_applied(tmp_path):
     black, white = np.array((100, 200, 300)), np.array((4000, 3000, 2000))
     stored = np.rint(black + GREY * (white - black)) * np.ones((*SIZE, 3))
     path = write_dng(
@@ -103,7 +103,7 @@ def value_opcode(opcode, numbers, kind):
     return struct.pack(">4I", opcode, 0x01030000, 0, len(payload)) + payload
 
 
-def test_maps_of_values_are_applied(tmp_path, light):
+def test_map_table_opcodes_are_applied(tmp_path, light):
     """A polynomial, and a table, of codes that are roots; without a note."""
     stored = np.rint(4095 * np.sqrt(light)).astype(np.uint16)
     squares = np.rint(65535 * (np.arange(65536) / 65535) ** 2)
@@ -115,7 +115,7 @@ def test_maps_of_values_are_applied(tmp_path, light):
         assert not any("not applied" in note for note in photo.notes)
 
 
-def test_patterns_of_other_sizes_are_refused(tmp_path, light):
+def test_mosaics_of_other_sizes_are_refused(tmp_path, light):
     path = write_dng(tmp_path / "a.dng", mosaic(light))
     data = bytearray(path.read_bytes())
     at = data.index(struct.pack("<HHI2H", 33421, 3, 2, 2, 2)) + 8

@@ -71,7 +71,7 @@ def test_gain_maps_have_no_shoulder():
     assert ratio.curve.shoulder == 0.0 and ratio.curve.exponent == pytest.approx(1.04, rel=0.01)
 
 
-def test_few_common_tones_are_no_measurement():
+def test_few_common_tones_give_no_estimate():
     assert fit_ratio(LIGHT[:40], LIGHT[:40] / 4, (CODED, CODED), 0.25) is None
 
 

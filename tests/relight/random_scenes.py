@@ -16,7 +16,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.files.color import srgb_encode
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,

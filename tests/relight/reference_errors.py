@@ -16,7 +16,7 @@ import numpy as np
 from reference_scenes import LIGHTS, embossed_maps, embossed_scene, flat_maps, flat_scene, sky_scene
 
 from matcap.files.exr import read_exr
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 from matcap.relight.render import relight
 
 FOLDER = Path(__file__).parent / "references"

@@ -226,7 +226,7 @@ def expected(held):
 
 
 @pytest.mark.parametrize("source", SETS)
-def test_names_as_they_are_written(source):
+def test_file_names_of_libraries_are_recognised(source):
     paths = [Path(name) for name in sorted(SETS[source])]
     for file in named(paths):
         held = SETS[source][file.path.name]
@@ -241,7 +241,7 @@ def touch(folder, *names):
     return assigned(folder)
 
 
-def test_of_two_forms_of_a_map_one_is_taken_and_the_other_named(tmp_path):
+def test_of_two_files_of_a_map_one_is_used_and_the_other_named(tmp_path):
     found = touch(
         tmp_path,
         *("mud_bump_8k.png", "mud_displacement_8k.png", "mud_nor_dx_8k.png", "mud_nor_gl_8k.png"),
@@ -260,7 +260,7 @@ def test_of_two_forms_of_a_map_one_is_taken_and_the_other_named(tmp_path):
         assert name in result
 
 
-def test_what_is_not_understood_is_named_and_hidden_files_are_not(tmp_path):
+def test_unknown_files_are_named_and_hidden_ones_are_not(tmp_path):
     found = touch(
         tmp_path, "a_Color.png", "a_xyz.png", "a_AO.png", "a.dds", "._a_Color.png", "a.txt"
     )
@@ -297,7 +297,7 @@ def test_occlusion_is_never_metallic(tmp_path):
         ("linear_stripes_basecolor.png", ""),
     ],
 )
-def test_the_colour_space_in_a_name(name, space):
+def test_a_colour_space_in_a_name_is_recognised(name, space):
     (file,) = named([Path(name)])
     assert file.channels == {"base": "RGB"}
     assert file.space == space

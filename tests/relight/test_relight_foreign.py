@@ -87,7 +87,7 @@ def publish(maps, folder, names, kinds):
 
 @pytest.mark.parametrize("names", [AMBIENTCG, POLYHAVEN])
 @pytest.mark.parametrize("normal", ["gl", "dx"])
-def test_the_usual_names(tmp_path, maps, names, normal):
+def test_maps_by_the_names_of_libraries_are_read(tmp_path, maps, names, normal):
     publish(maps, tmp_path, names, ["base", normal, "rough", "height"])
     found = read_foreign(tmp_path).texture
     np.testing.assert_allclose(found.diffuse, maps.diffuse, atol=1e-3)
@@ -139,7 +139,7 @@ def test_packed_maps_and_smaller_ones(tmp_path, maps):
     np.testing.assert_allclose(found.roughness, maps.roughness, atol=0.03)
 
 
-def test_height_alone_and_nothing_but_colour(tmp_path, maps):
+def test_a_height_or_a_colour_alone_is_a_map_set(tmp_path, maps):
     publish(maps, tmp_path, AMBIENTCG, ["base", "height"])
     found = read_foreign(tmp_path)
     assert np.ptp(found.texture.height) == pytest.approx(0.04, rel=1e-3)
@@ -148,7 +148,7 @@ def test_height_alone_and_nothing_but_colour(tmp_path, maps):
     assert not read_foreign(tmp_path).texture.height.any()
 
 
-def test_folders_that_are_no_map_sets(tmp_path, maps):
+def test_folders_without_a_map_set_are_refused(tmp_path, maps):
     with pytest.raises(MatcapError, match="no such folder"):
         read_foreign(tmp_path / "none")
     with pytest.raises(MatcapError, match="no map of base colour"):
@@ -198,7 +198,7 @@ def test_data_in_alpha_is_not_multiplied_in(plain, name, kind, form):
 
 
 @pytest.mark.parametrize("form", ["tga", "webp", "bmp", "tif"])
-def test_other_kinds_of_files(plain, form):
+def test_tga_webp_bmp_and_tiff_are_read(plain, form):
     folder, pictures, expected = plain
     for name, kind in PLAIN.items():
         (folder / f"{name}.png").unlink()
@@ -208,7 +208,7 @@ def test_other_kinds_of_files(plain, form):
     same(read_foreign(folder).texture, expected, atol=0.02)
 
 
-def test_floats_are_light(plain):
+def test_floating_point_colours_are_linear(plain):
     folder, _, expected = plain
     (folder / "a_Color.png").unlink()
     light = np.moveaxis(expected.diffuse, 0, -1)
@@ -339,7 +339,7 @@ def test_packed_maps_by_their_packing(plain, packing):
     assert not any("no roughness" in note for note in found.notes)
 
 
-def test_a_packed_map_that_lacks_its_channel_is_told(plain):
+def test_a_packed_map_without_its_channel_is_noted(plain):
     folder, pictures, _ = plain
     (folder / "a_Roughness.png").unlink()
     packed(folder, "a_MetallicSmoothness.png", *[pictures["metal"]] * 3)
@@ -361,13 +361,13 @@ def test_specular_with_gloss_is_f0_and_without_it_is_left_out(plain):
     np.testing.assert_allclose(found.roughness, expected.roughness, atol=1e-4)
 
 
-def test_specular_level_is_a_part_of_eight_percent(plain):
+def test_specular_level_scales_an_f0_of_eight_percent(plain):
     folder, _, _ = plain
     png(folder / "a_specularlevel.png", np.full((64, 64, 1), 0.75, np.float32))
     np.testing.assert_allclose(read_foreign(folder).texture.specular, 0.06, atol=1e-4)
 
 
-def test_a_flat_height_is_called_flat(plain):
+def test_a_flat_height_is_noted(plain):
     folder, pictures, expected = plain
     png(folder / "a_Displacement.png", np.full((64, 64, 1), 0.5, np.float32))
     found = read_foreign(folder)
@@ -385,20 +385,20 @@ def test_a_bump_map_that_holds_normals_is_a_normal_map(plain):
     assert any("normal map, by its colours" in note for note in found.notes)
 
 
-def test_a_height_alone_in_floats_spans_what_it_spans(plain):
+def test_a_floating_point_height_keeps_its_range(plain):
     folder, pictures, _ = plain
     (folder / "a_NormalGL.png").unlink()
     write_exr(folder / "a_Displacement.exr", 30.0 * pictures["height"][..., 0] - 10.0, half=False)
     assert np.ptp(read_foreign(folder).texture.height) == pytest.approx(0.04, rel=1e-3)
 
 
-def test_a_scalar_map_with_colours_is_told(plain):
+def test_a_coloured_scalar_map_is_noted(plain):
     folder, pictures, _ = plain
     png(folder / "a_Roughness.png", pictures["base"])
     assert any("is coloured" in note for note in read_foreign(folder).notes)
 
 
-def test_the_finest_of_the_maps_decides_the_size(plain):
+def test_the_largest_map_sets_the_size(plain):
     folder, _, expected = plain
     png(folder / "a_Color.png", np.full((1, 1, 3), 0.5, np.float32))
     found = read_foreign(folder).texture
@@ -408,7 +408,7 @@ def test_the_finest_of_the_maps_decides_the_size(plain):
         read_foreign(folder)
 
 
-def test_values_that_no_albedo_has_are_clipped_and_told(plain):
+def test_impossible_albedo_is_clipped_and_noted(plain):
     folder, _, expected = plain
     (folder / "a_Color.png").unlink()
     light = np.moveaxis(expected.diffuse, 0, -1).copy()
@@ -419,7 +419,7 @@ def test_values_that_no_albedo_has_are_clipped_and_told(plain):
     assert any("clipped" in note for note in found.notes)
 
 
-def test_files_that_are_not_understood_are_named(plain):
+def test_files_of_unknown_use_are_named(plain):
     folder, pictures, _ = plain
     png(folder / "a_xyz.png", pictures["rough"])
     assert any("a_xyz.png" in note for note in read_foreign(folder).notes)
@@ -428,7 +428,7 @@ def test_files_that_are_not_understood_are_named(plain):
         read_foreign(folder)
 
 
-def test_pictures_of_unsupported_kinds_are_called_so(plain):
+def test_cmyk_and_truncated_pictures_are_named(plain):
     folder, pictures, _ = plain
     (folder / "a_Color.png").unlink()
     Image.fromarray(code(pictures["base"])).convert("CMYK").save(folder / "a_Color.tif")
@@ -442,7 +442,7 @@ def test_pictures_of_unsupported_kinds_are_called_so(plain):
         read_foreign(folder)
 
 
-def test_codings_that_are_not_supported_are_not_called_damaged(plain):
+def test_unsupported_codings_are_not_reported_as_damaged(plain):
     """A JPEG of 12 bits: its frame says so, and libjpeg reads 8."""
     folder, pictures, _ = plain
     (folder / "a_Color.png").unlink()
@@ -465,14 +465,14 @@ def test_channels_of_no_known_name_are_refused_rather_than_guessed(plain):
     np.testing.assert_array_equal(read_foreign(folder).texture.roughness[0], plane)
 
 
-def test_a_metal_without_a_metallic_map_is_told(plain):
+def test_a_metal_without_a_metallic_map_is_noted(plain):
     folder, _, _ = plain
     assert not any("metal" in note for note in read_foreign(folder).notes)
     (folder / "a_Color.png").rename(folder / "Rusty_Metal03_Color.png")
     assert any("read as dielectric" in note for note in read_foreign(folder).notes)
 
 
-def test_a_name_goes_before_the_option_and_says_so(plain):
+def test_a_file_name_overrides_the_option_with_a_note(plain):
     folder, _, expected = plain
     found = read_foreign(folder, normal="dx")
     np.testing.assert_array_equal(found.texture.slopes, expected.slopes)
@@ -490,7 +490,7 @@ SHADED = ("usd", "gltf", "unreal", "unity-hdrp", "unity-urp", "gltf-textures", "
 
 
 @pytest.mark.parametrize("target", EXACT + SHADED)
-def test_it_is_read_back(tmp_path, target):
+def test_exports_are_read_back(tmp_path, target):
     write_export(ExportJob(MAPS, "leather"), target, tmp_path)
     found, whole = read_foreign(tmp_path).texture, Texture.from_maps(MAPS)
     colour = 0.004 if target in EXACT else 0.05
@@ -505,7 +505,7 @@ def test_it_is_read_back(tmp_path, target):
 
 
 @pytest.mark.parametrize("container", ["jpg", "webp", "exr", "tx"])
-def test_in_every_kind_of_file(tmp_path, container):
+def test_exports_of_every_format_are_read_back(tmp_path, container):
     write_export(ExportJob(MAPS, "leather", container=container), "polyhaven", tmp_path)
     found, whole = read_foreign(tmp_path).texture, Texture.from_maps(MAPS)
     np.testing.assert_allclose(found.specular, whole.specular, atol=0.01)
@@ -513,7 +513,7 @@ def test_in_every_kind_of_file(tmp_path, container):
     np.testing.assert_allclose(found.height, whole.height, atol=1e-3)
 
 
-def test_lengths_in_millimetres_are_brought_back(tmp_path):
+def test_lengths_in_millimetres_are_read_back(tmp_path):
     write_export(ExportJob(MAPS, "leather", millimetres=40.0,
                            provenance={"millimetres_per_unit": 40.0}), "raw", tmp_path)  # fmt: skip
     found = read_foreign(tmp_path).texture
@@ -521,7 +521,7 @@ def test_lengths_in_millimetres_are_brought_back(tmp_path):
     np.testing.assert_allclose(found.height, MAPS.height, atol=1e-5)
 
 
-def test_a_damaged_sidecar_is_told(tmp_path):
+def test_a_damaged_sidecar_is_noted(tmp_path):
     write_export(ExportJob(MAPS, "leather"), "raw", tmp_path)
     sidecar = tmp_path / "leather_raw.json"
     sidecar.write_text(sidecar.read_text().replace('"texel": ', '"texel": -'))
@@ -529,7 +529,7 @@ def test_a_damaged_sidecar_is_told(tmp_path):
         read_foreign(tmp_path)
 
 
-def test_a_sidecar_of_another_version_or_none_at_all_is_told(tmp_path):
+def test_a_sidecar_of_another_version_or_without_one_is_noted(tmp_path):
     write_export(ExportJob(MAPS, "leather"), "godot", tmp_path)
     sidecar = tmp_path / "leather_godot.json"
     stated = sidecar.read_text()
@@ -542,7 +542,7 @@ def test_a_sidecar_of_another_version_or_none_at_all_is_told(tmp_path):
     assert by_names.files["roughness"] == "leather_orm.png"
 
 
-def test_a_damaged_glb_is_told(tmp_path):
+def test_a_damaged_glb_is_refused(tmp_path):
     write_export(ExportJob(MAPS, "leather"), "gltf", tmp_path)
     file = tmp_path / "leather.glb"
     file.write_bytes(file.read_bytes()[:4000])
@@ -550,7 +550,7 @@ def test_a_damaged_glb_is_told(tmp_path):
         read_foreign(tmp_path)
 
 
-def test_tiles_of_a_texture_set_are_put_together(tmp_path):
+def test_tiles_of_a_texture_set_are_joined(tmp_path):
     """Two by two of them, numbered from the left bottom on."""
     grid = np.array([[1011, 1012], [1001, 1002]])
     name = "w_diffuse.<UDIM>.png"
@@ -572,7 +572,7 @@ def test_tiles_of_a_texture_set_are_put_together(tmp_path):
 # Kinds of maps that other programs write beside these.
 
 
-def test_f0_beside_a_diffuse_map(plain):
+def test_specular_beside_a_diffuse_map_is_f0(plain):
     """Diffuse, coloured specular, roughness and normal, as in papers: specular is F0."""
     folder, pictures, texture = plain
     (folder / "a_Color.png").rename(folder / "a_diffuse.png")
@@ -602,7 +602,7 @@ def test_normals_of_object_space_are_refused(plain):
             read_foreign(folder)
 
 
-def test_occlusion_in_a_normal_map_s_blue_is_no_z(plain):
+def test_occlusion_in_the_blue_of_a_normal_map_is_not_z(plain):
     folder, _, _ = plain
     before = read_foreign(folder).texture.slopes
     file = next(folder.glob("a_Normal*"))
@@ -616,7 +616,7 @@ def test_occlusion_in_a_normal_map_s_blue_is_no_z(plain):
     np.testing.assert_allclose(read.texture.slopes, before, atol=0.02)
 
 
-def test_maps_in_a_folder_inside_are_pointed_to(plain):
+def test_maps_in_a_subfolder_are_pointed_out(plain):
     folder, _, _ = plain
     inside = folder / "textures"
     inside.mkdir()
@@ -626,7 +626,7 @@ def test_maps_in_a_folder_inside_are_pointed_to(plain):
         read_foreign(folder)
 
 
-def test_tiles_of_others_are_called_so(plain):
+def test_udim_tiles_of_other_programs_are_refused_by_name(plain):
     folder, _, _ = plain
     for file in list(folder.glob("*.png")):
         for tile in (1001, 1002):
@@ -640,7 +640,7 @@ def test_tiles_of_others_are_called_so(plain):
 
 
 @pytest.mark.parametrize("suffix", ["jfif", "jpe"])
-def test_jpegs_of_other_suffixes(plain, suffix):
+def test_jpegs_with_other_suffixes_are_read(plain, suffix):
     folder, pictures, _ = plain
     (folder / "a_Color.png").unlink()
     Image.fromarray(code(pictures["base"])).save(folder / "a.jpg", quality=95)

@@ -94,7 +94,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
     return Block(context, hits, height, sample, np.zeros(count, dtype=int))
 
 
-def test_a_lone_pixel_is_looked_up_as_among_others():
+def test_a_pixel_alone_equals_the_same_pixel_in_a_block():
     """One hit of a mesh's tip is an array of one place, which is no grid of texels."""
     sampler = Sampler(Texture.from_maps(bumpy(8, 8)), 1.0)
     u, v = (np.array([0.013, 0.4], np.float32) for _ in range(2))
@@ -132,7 +132,7 @@ def close(found, expected, share=3e-4):
 
 
 @pytest.mark.parametrize("far", [False, True])
-def test_shadows(relief, far):
+def test_compiled_shadows_equal_the_plain_ones(relief, far):
     (u, v), generator = scattered(4000)
     height, towards = relief.at(u, v), directions(generator, 4000, tilt=0.5)
     distance = None if far else generator.uniform(0.05, 1.0, u.shape).astype(np.float32)
@@ -160,12 +160,12 @@ def test_no_ray_is_hidden_above_a_clear_tangent(relief, endless):
     assert hidden[1].mean() > 0.03
 
 
-def test_heights(relief):
+def test_compiled_heights_equal_the_plain_ones(relief):
     (u, v), _ = scattered(4000)
     np.testing.assert_allclose(relief.at(u, v), plain.relief.at(relief, u, v), atol=1e-7)
 
 
-def test_parallax(relief):
+def test_compiled_parallax_equals_the_plain_one(relief):
     place, generator = scattered(3000)
     to_view = directions(generator, 3000, tilt=2.0)
     ours, theirs = (
@@ -178,7 +178,7 @@ def test_parallax(relief):
 
 
 @pytest.mark.parametrize("framed", [False, True])
-def test_lights_that_are_points(relief, framed):
+def test_compiled_point_lights_equal_the_plain_ones(relief, framed):
     block = pixels(relief, np.random.default_rng(5), framed=framed)
     light = PointLight((0.3, -0.4, 0.6), (1.0, 1.0, 1.0))
     offset = subtract(vec(light.position), block.hits.point)
@@ -195,7 +195,7 @@ def test_lights_that_are_points(relief, framed):
 @pytest.mark.parametrize("light", LIGHTS)
 @pytest.mark.parametrize("framed", [False, True])
 @pytest.mark.parametrize("shaded", [False, True])
-def test_lights_with_a_size(relief, light, framed, shaded):
+def test_compiled_area_lights_equal_the_plain_ones(relief, light, framed, shaded):
     """Each pixel by its own rule, with the share that arrives of each part."""
     effects = EVERY if shaded else tuple(one for one in EVERY if one != "shadows")
     generator = np.random.default_rng(2)
@@ -228,7 +228,7 @@ def test_lights_with_a_size(relief, light, framed, shaded):
 
 
 @pytest.mark.parametrize("light", LIGHTS)
-def test_lights_with_a_size_where_pixels_choose(relief, light):
+def test_adaptively_sampled_area_lights_are_near_the_finest(relief, light):
     """As fine as a pixel asks for is as good as as fine as can be, for neighbours, too."""
     plain, chosen = (pixels(relief, np.random.default_rng(2), rough=(0.3, 1.0)) for _ in range(2))
     chosen.context = replace(chosen.context, budget=Budget(1e-3, Film(), frozenset()))
@@ -299,7 +299,9 @@ def sky_of(tmp_path):
 @pytest.mark.parametrize("hides", [False, True])
 @pytest.mark.parametrize("even", [False, True])
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, adaptive):
+def test_compiled_mirrored_environments_equal_the_plain_ones(
+    relief, whole, tmp_path, hides, even, adaptive
+):
     """All directions, or those alone that are not above the highest horizon: the same."""
     light = EnvironmentLight(radiance=(1.0,) * 3) if even else sky_of(tmp_path)
     sky = environment_of(light)
@@ -323,7 +325,7 @@ def test_mirrored_surroundings(relief, whole, tmp_path, hides, even, adaptive):
     assert np.quantile(off, 0.98) <= 3e-5 and off.max() <= 0.05
 
 
-def test_without_the_loops_one_sentence_says_what_to_do(monkeypatch):
+def test_missing_compiled_loops_are_one_sentence(monkeypatch):
     library.built.cache_clear()
     monkeypatch.setattr("matcap.files.process.EXTENSION_SUFFIXES", [])
     try:

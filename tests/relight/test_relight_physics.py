@@ -15,9 +15,8 @@ from relight_samples import bumpy, flat
 from matcap.brdf import cook_torrance as reference
 from matcap.brdf.maps import MapSet
 from matcap.relight.camera import dot, vec
-from matcap.relight.effects import multiscatter
+from matcap.relight.effects import DEFAULT_TOLERANCE, multiscatter
 from matcap.relight.effects import relief as parallax
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
 from matcap.relight.environment_map import albedo
 from matcap.relight.relief import Horizons, Relief
 from matcap.relight.render import Renderer, relight
@@ -85,7 +84,7 @@ def tabulated(mu, roughness):
 
 @pytest.mark.parametrize("roughness", [0.05, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0])
 @pytest.mark.parametrize("mu", [0.02, 0.1, 0.2, 0.5, 0.8, 1.0])
-def test_white_furnace(roughness, mu):
+def test_a_white_lobe_with_compensation_reflects_all_light(roughness, mu):
     single = sum(lobe_albedo(mu, roughness))
     assert single <= 1.001
     assert single == pytest.approx(tabulated(mu, roughness), abs=5e-3)
@@ -198,7 +197,7 @@ def sawtooth(*, periodic: bool) -> Texture:
     return texture
 
 
-def test_the_border_of_a_piece_is_no_cliff():
+def test_the_border_of_the_maps_casts_no_shadow():
     """What lies at the right border must not shadow the left one, unless it does lie there."""
     scene = Scene(Film(64, 8), None, Surface(size=None), (DirectionalLight((-1.0, 0.0, 0.5)),))
     effects = "none,+diffuse,+shadows"
@@ -284,7 +283,7 @@ def test_the_foot_of_an_endless_wall_sees_half_the_sky():
     assert foot == pytest.approx((1.0 + math.cos(math.radians(80))) / 2.0, abs=0.03)
 
 
-def test_a_valley_of_given_slope():
+def test_a_valley_of_given_slope_sees_its_share_of_the_sky():
     """In a v-shaped valley of slope 1 the bottom sees sin 45 degrees of the sky's irradiance."""
     width = 128
     field = np.abs(np.arange(width) - width / 2.0)[None, None].repeat(8, 1).astype(np.float32)
@@ -334,7 +333,7 @@ def specular(normal, to_view, to_light, roughness, f0):
 
 @pytest.mark.parametrize(("dtype", "limit"), [(np.float64, 1e-12), (np.float32, 2e-4)])
 @pytest.mark.parametrize("roughness", [0.0, 0.02, 0.1, 0.5, 1.0])
-def test_same_as_the_reference(dtype, limit, roughness):
+def test_renderings_equal_the_float64_reference(dtype, limit, roughness):
     to_view, to_light = directions(500, 1), directions(500, 2)
     to_light[:, :250] = to_view[:, :250] * [[-1], [-1], [1]]  # mirrored: the peak
     normal = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), to_view.shape)
@@ -365,7 +364,7 @@ def test_same_as_the_reference(dtype, limit, roughness):
     np.testing.assert_allclose(found[keep], expected.numpy()[keep], rtol=limit)
 
 
-def test_worked_value():
+def test_a_worked_value_is_reproduced():
     """Straight down on roughness 0.5 and F0 0.04: D = 1 / (pi alpha^2), V = 1/4."""
     up = (np.zeros(1), np.zeros(1), np.ones(1))
     expected = 1.0 / (math.pi * 0.25**2) / 4.0 * 0.04

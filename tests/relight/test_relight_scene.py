@@ -21,7 +21,7 @@ from matcap.files.color import srgb_encode, srgb_picture
 from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.light import render_flash, render_rectified
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 from matcap.relight.photographed import photographed_scene
 from matcap.relight.render import Renderer, relight
 from matcap.relight.scene import (
@@ -144,7 +144,7 @@ def test_mistakes_are_named(text, message):
     assert str(caught.value).startswith("scene")
 
 
-def test_files_that_are_no_scenes(tmp_path):
+def test_files_that_are_no_scenes_are_refused(tmp_path):
     with pytest.raises(MatcapError, match="no such file"):
         read_scene(tmp_path / "none.toml")
     (tmp_path / "a.toml").write_bytes(b"\xff\xfe\x00")
@@ -162,7 +162,7 @@ def test_named_lights_expose_white_as_white(name):
     assert light.intensity[0] / squared * cosine / math.pi == pytest.approx(1.0)
 
 
-def test_a_light_in_numbers():
+def test_a_light_is_given_by_numbers():
     (light,) = scene_from_light("0.5,1,1,20").lights
     assert light == PointLight((0.5, 1.0, 1.0), (20.0, 20.0, 20.0))
     (light,) = scene_from_light(" -1, 1, 2").lights
@@ -170,7 +170,7 @@ def test_a_light_in_numbers():
 
 
 @pytest.mark.parametrize("text", ["", "sun", "1,2", "1,2,3,4,5", "a,b,c", "0,0,nan", "0,0,inf"])
-def test_what_is_no_light(text):
+def test_malformed_lights_are_refused(text):
     with pytest.raises(UsageError, match="is not a light; choose from flash, .*bottom or x,y,z"):
         scene_from_light(text)
 
@@ -187,7 +187,7 @@ def test_a_misspelt_light_finds_the_name_that_is_meant():
 
 
 @pytest.mark.parametrize(("text", "message"), [("0,1,0", "above"), ("0,1,2,-1", "negative")])
-def test_lights_that_cannot_be(text, message):
+def test_impossible_lights_are_refused(text, message):
     with pytest.raises(UsageError, match=message):
         scene_from_light(text)
 
@@ -197,7 +197,7 @@ SCENES = [(path.stem, read_scene(path)) for path in FILES] + [(n, preset(n)) for
 
 
 @pytest.mark.parametrize(("name", "scene"), SCENES, ids=[name for name, _ in SCENES])
-def test_it_shows_something_well_exposed(name, scene):
+def test_a_named_scene_is_well_exposed(name, scene):
     film = scene.film or Film()
     small = replace(scene, film=replace(film, width=24, height=18))
     picture = relight(bumpy(64, 64), small) * film.gain
@@ -207,7 +207,7 @@ def test_it_shows_something_well_exposed(name, scene):
     assert 0.05 < np.median(shown) < 1.0
 
 
-def test_there_are_examples():
+def test_every_example_scene_is_valid():
     assert len(FILES) >= 5
 
 
@@ -249,7 +249,7 @@ def test_default_picture_is_one_pixel_a_texel(run, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "m", "scene.toml"]
 
 
-def test_exr_is_radiance_and_png_is_exposed_codes(run):
+def test_exr_holds_radiance_and_png_exposed_code_values(run):
     assert run("m", "--scene", "scene.toml", "-o", "a.exr", "-q")[0] == 0
     assert run("m", "--scene", "scene.toml", "-o", "a.png", "-q")[0] == 0
     radiance = read_exr(Path("a.exr")).pixels
@@ -258,7 +258,7 @@ def test_exr_is_radiance_and_png_is_exposed_codes(run):
     np.testing.assert_array_equal(codes, np.rint(srgb_picture(radiance / 2.0) * 255))
 
 
-def test_explain_and_json(run):
+def test_explain_prints_the_plan_as_text_and_json(run):
     code, out, _ = run("m", "--light", "left", "--explain", "-o", "a.png")
     assert code == 0
     lines = out.splitlines()
@@ -295,7 +295,7 @@ def test_tolerance_and_effects_reach_the_plan(run):
     assert not any(row["on"] for row in plans[1])
 
 
-def test_animations(run):
+def test_animations_are_written_in_each_format(run):
     options = ("--size", "16x12", "--animate", "light-orbit", "--frames", "3", "-q")
     for out in ("a.gif", "a.mp4", "b.exr"):
         assert run("m", *options, "-o", out)[0] == 0
@@ -315,12 +315,12 @@ def test_turntable_ends_where_it_began(run):
     assert read_exr(Path("b_0001.exr")).pixels.any()
 
 
-def test_sheet(run):
+def test_a_sheet_shows_a_grid_of_lights(run):
     assert run("m", "--sheet", "3x2", "--size", "10x8", "-o", "a.png", "-q")[0] == 0
     assert cv2.imread("a.png").shape == (16, 30, 3)
 
 
-def test_foreign_maps(run, tmp_path):
+def test_maps_of_other_programs_are_relit(run, tmp_path):
     folder = tmp_path / "bricks"
     folder.mkdir()
     cv2.imwrite(str(folder / "Bricks_Color.png"), np.full((8, 8, 3), 128, dtype=np.uint8))
@@ -351,7 +351,7 @@ def test_foreign_maps(run, tmp_path):
         (("--maps-from", "nowhere"), 3, "no such folder"),
     ],
 )
-def test_mistakes(run, tmp_path, arguments, code, message):
+def test_wrong_options_are_one_sentence(run, tmp_path, arguments, code, message):
     found, out, err = run(*arguments)
     assert found == code
     assert message in err
@@ -376,7 +376,7 @@ def relit(maps: MapSet, setup: FlashSetup, *, effects="auto", size=None):
 
 
 @pytest.mark.parametrize("vignetting", [(0.4, 0.0), (0.0, 0.0), (-0.3, 0.0), (0.0, 0.9)])
-def test_a_photograph_from_straight_above_is_rendered_alike(vignetting):
+def test_the_scene_of_an_untilted_photograph_renders_the_photograph(vignetting):
     maps = bumpy(64, 48, relief=0.02)
     first, second = vignetting
     setup = replace(SETUP_OF_A_PHONE, vignetting=first, vignetting_quartic=second)
@@ -386,7 +386,7 @@ def test_a_photograph_from_straight_above_is_rendered_alike(vignetting):
 
 @pytest.mark.parametrize("tilt", [(0.1, 0.0), (0.0, -0.12), (0.09, 0.13)])
 @pytest.mark.parametrize("size", [(48, 36), (36, 48)])
-def test_a_tilted_photograph_is_rendered_alike(tilt, size):
+def test_the_scene_of_a_tilted_photograph_renders_the_photograph(tilt, size):
     setup = replace(SETUP_OF_A_PHONE, tilt=tilt)
     maps = flat(64, 64)
     scene = photographed_scene(setup, Film(*size), endless=True)
@@ -402,7 +402,7 @@ def test_a_tilted_photograph_is_rendered_alike(tilt, size):
     np.testing.assert_allclose(found, expected, rtol=2e-4)
 
 
-def test_a_simulated_photograph_is_shown_again():
+def test_light_flash_renders_a_simulated_photograph():
     """Pixel by pixel as bright and as lit, through tilt, lens and automatic exposure."""
     camera = PhoneCamera(width=96, height=72, blur=0.01, supersampling=1)
     tilted = FlashSetup(offset=(0.08, 0.05, 0.0), tilt=(0.08, -0.05), vignetting=0.3)
@@ -426,7 +426,7 @@ def test_negative_vignetting_spends_no_more_than_the_tolerance(vignetting):
     assert np.abs(off).max() <= DEFAULT_TOLERANCE
 
 
-def test_the_command_shows_the_photographed_piece_as_photographed(tmp_path, monkeypatch):
+def test_relight_flash_shows_the_exemplar_as_photographed(tmp_path, monkeypatch):
     maps = bumpy(24, 16, relief=0.0)
     monkeypatch.chdir(tmp_path)
     about = {"of": "the photographed piece", SETUP: asdict(SETUP_OF_A_PHONE)}

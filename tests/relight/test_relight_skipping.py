@@ -20,9 +20,8 @@ from matcap.flash.geometry import plane_points
 from matcap.flash.light import shade
 from matcap.relight import render
 from matcap.relight import render as planning
-from matcap.relight.effects import area
+from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, area
 from matcap.relight.effects import relief as parallax
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE, Bound
 from matcap.relight.effects.entries import Effect
 from matcap.relight.plan import TILE, Budget, Tally
 from matcap.relight.relief import Relief
@@ -53,7 +52,7 @@ from matcap.relight.texture import Texture
 # The full count is run by `python tests/relight/random_scenes.py 300`.
 
 
-def test_random_scenes():
+def test_random_scenes_stay_within_the_tolerance():
     skipped = 0
     for seed in range(1000, 1040):
         difference, off = worst_difference(seed)
@@ -97,7 +96,7 @@ def test_dull_material_needs_no_multiple_scattering():
     assert plan_of(flat(specular=1.0, roughness=0.9), sky).on("multiscatter")
 
 
-def test_forcing_effects():
+def test_effects_can_be_forced_on_and_off():
     renderer = Renderer(bumpy(), scene_from_light("left"))
     assert renderer.render(effects="all").plan.running == set(EFFECTS)
     dark = renderer.render(effects="none")
@@ -148,19 +147,19 @@ REACHED = {
 }  # fmt: skip
 
 
-def test_every_effect_is_tried(tmp_path):
+def test_every_effect_is_covered_by_the_bound_scenes(tmp_path):
     assert list(tries(tmp_path)) == list(EFFECTS) == list(REACHED)
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_no_bound_is_wrong_and_none_is_loose(effect, tmp_path):
+def test_bounds_hold_and_are_tight(effect, tmp_path):
     shares = [share(effect, one) for one in tries(tmp_path)[effect]]
     assert max(shares) <= 1.0 + 1e-5, shares
     assert max(shares) >= REACHED[effect], shares
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.3, 0.5, 0.9, 1.0, 3.2, 9.9])
-def test_what_is_left_out_adds_up_to_no_more_than_the_tolerance(tolerance, monkeypatch):
+def test_the_sum_of_left_out_effects_is_within_the_tolerance(tolerance, monkeypatch):
     """Each of these could be left out alone at most tolerances; all of them not."""
     bounds = {name: 0.25 + 0.05 * index for index, name in enumerate(EFFECTS)}
     made = {name: Effect(lambda _, b=bound: Bound(b, "")) for name, bound in bounds.items()}
@@ -244,7 +243,7 @@ def difference(maps, scene):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_named_scenes_are_what_everything_makes_them(name):
+def test_named_scenes_by_plan_equal_those_with_all_effects(name):
     film = Film(80, 60, exposure=SCENES[name].film.exposure)
     scene = Scene(film, SCENES[name].camera, SCENES[name].surface, SCENES[name].lights)
     maps = bumpy(128, 128, relief=0.03)
@@ -254,7 +253,7 @@ def test_the_named_scenes_are_what_everything_makes_them(name):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_large_light_that_sets_behind_bumps_is_what_everything_makes_it(seed):
+def test_a_large_low_light_by_plan_equals_that_with_all_effects(seed):
     """Half a tolerance: two coarse rules for the same edge would be off by three times that."""
     maps = bumpy(64, 64, seed=seed, relief=0.05)
     maps.roughness.mul_(0.6)
@@ -266,7 +265,7 @@ def test_a_large_light_that_sets_behind_bumps_is_what_everything_makes_it(seed):
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
-def test_no_step_along_the_borders_of_tiles(kind):
+def test_borders_of_tiles_show_no_step(kind):
     """What is left out changes no more from tile to tile than inside of them."""
     lights = (
         RectangleLight((-1.2, 1.0, 1.4), (1.2, -1.0, -1.4), size=(0.5, 0.5), radiance=(6.0,) * 3),
@@ -343,7 +342,7 @@ def reference(maps, light) -> np.ndarray:
 
 
 @pytest.mark.parametrize("light", ["flash", "top", "left", "0.3,-0.2,0.1"])
-def test_same_as_the_flash_renderer(maps, light):
+def test_the_renderer_equals_the_flash_renderer(maps, light):
     scene = scene_from_light(light)
     found = relight(maps, scene)
     assert found.shape == (48, 64, 3)
@@ -351,7 +350,7 @@ def test_same_as_the_flash_renderer(maps, light):
     np.testing.assert_allclose(found, reference(maps, scene.lights[0]), rtol=1e-4, atol=1e-6)
 
 
-def test_a_film_of_its_own_reads_between_texels(maps):
+def test_the_mean_of_four_pixels_a_texel_is_one_pixel_a_texel(maps):
     """Four pixels a texel: their average is nearly the picture of one pixel a texel."""
     scene = scene_from_light("top")
     whole = relight(maps, scene)
@@ -397,7 +396,7 @@ def test_orthographic_camera():
     np.testing.assert_allclose(picture, 0.5 / math.pi + lobe, rtol=1e-4)
 
 
-def test_nothing_beside_the_plane_and_nothing_from_behind():
+def test_rays_beside_the_plane_or_from_behind_are_black():
     light = PointLight((0.0, 0.0, 2.0))
     picture = relight(flat(), Scene(Film(32, 16), None, Surface(size=1.0), (light,)))
     assert picture[:, 16].all()
@@ -440,7 +439,7 @@ def test_a_material_is_read_at_the_size_the_surface_needs(maps):
     assert asked == [(64, 48, 5)]
 
 
-def test_the_public_name(maps):
+def test_matcap_relight_is_the_renderer(maps):
     np.testing.assert_array_equal(matcap.relight(maps, "left"), render.relight(maps, "left"))
 
 
@@ -467,11 +466,11 @@ def compare(found, expected, rms, largest, folder):
         ("rectangle", 1e-3, 3e-3),
     ],
 )
-def test_direct_light_on_flat_maps(name, rms, largest, tmp_path):
+def test_direct_light_on_flat_maps_equals_the_closed_form(name, rms, largest, tmp_path):
     compare(lit(name), reference_errors_reference(name), rms, largest, tmp_path)
 
 
-def test_light_of_the_surroundings_on_flat_maps(tmp_path):
+def test_environment_light_on_flat_maps_equals_the_closed_form(tmp_path):
     # As the tolerance says, 144 directions or 2584.
     for finer, rms, largest in ((1.0, 1e-3, 4e-3), (16.0, 3e-4, 1e-3)):
         compare(surrounded(finer), reference_errors_reference("sky"), rms, largest, tmp_path)

@@ -53,7 +53,7 @@ def adain():
     return AdaIN(5)
 
 
-def test_adain_gives_the_mean_and_deviation_the_code_asks_for(adain, features):
+def test_adain_sets_the_mean_and_deviation_of_the_code(adain, features):
     code = torch.randn(CODE_SIZE)
     mean, deviation = adain.target(code)
     found = adain(features, code, None)
@@ -110,7 +110,7 @@ def padded(features: torch.Tensor) -> torch.Tensor:
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 5), (4, 3), (16, 16)])
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
-def test_it_is_circular_padding(size, layout):
+def test_wrap_equals_circular_padding(size, layout):
     torch.manual_seed(1)
     features = torch.randn(2, 3, *size).contiguous(memory_format=layout).requires_grad_(True)
     weight = torch.randn(2, 3, size[0] + 2, size[1] + 2)
@@ -120,7 +120,7 @@ def test_it_is_circular_padding(size, layout):
     torch.testing.assert_close(found, wanted)
 
 
-def test_its_gradient_is_the_difference():
+def test_wrap_passes_gradcheck():
     features = torch.randn(1, 2, 3, 4, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(wrap, (features,))
 
@@ -165,7 +165,7 @@ def test_a_cell_is_where_every_wave_has_made_the_same_whole_turns(waves, corner)
     assert len(set(found.values())) == len(found)
 
 
-def test_levels_agree_on_a_cell_s_numbers():
+def test_all_levels_draw_the_same_numbers_for_a_cell():
     fine = numbers_of_cells(OBLIQUE, 32, -64, 64)
     coarse = numbers_of_cells(OBLIQUE, 16, -32, 32, level=1)
     shared = fine.keys() & coarse.keys()
@@ -183,7 +183,7 @@ def test_a_rectangle_is_cut_out_of_a_larger_one(waves):
 @LATTICES
 @pytest.mark.parametrize("period", [(160, 96), (160, None), (None, 96)])
 @pytest.mark.parametrize("level", [0, 2])
-def test_cells_repeat_and_stay_whole_where_the_ends_meet(waves, period, level):
+def test_cells_of_a_periodic_field_repeat_whole(waves, period, level):
     side, height = 480 >> level, 288 >> level
     field = cell_field(
         Patch(3, Rectangle(-30, 5, side, height), level=level, period=period), waves, 2
@@ -218,7 +218,7 @@ def test_cells_too_fine_for_a_level_are_left_out():
     assert cell_field(Patch(1, Rectangle(0, 0, 8, 8)), (), 2).abs().max() == 0
 
 
-def test_order_is_waves_then_cells():
+def test_channels_are_waves_then_cells():
     patch = Patch(9, Rectangle(4, 5, 20, 10))
     field = lattice_field(patch, STRAIGHT, 3)
     assert torch.equal(field[:WAVE_CHANNELS], wave_field(patch, STRAIGHT))
@@ -229,13 +229,13 @@ def test_order_is_waves_then_cells():
 # Blending: ends are the ends, the middle lies between, and the commands write what they say.
 
 
-def test_the_ends_are_the_materials_themselves(prior):
+def test_the_ends_of_a_blend_are_the_given_materials(prior):
     a, b = prior.draw(1), prior.draw(2)
     assert blend(a, b, 0.0) is a
     assert blend(a, b, 1.0) is b
 
 
-def test_near_an_end_it_looks_like_that_end(prior):
+def test_a_blend_near_an_end_is_similar_to_it(prior):
     a, b = prior.draw(1), prior.draw(2)
     first, last = (m.maps(64, 64).stacked()[:5] for m in (a, b))
     distances = []
@@ -260,7 +260,7 @@ def test_the_middle_has_the_mean_weights_and_its_own_moments(prior):
     )
 
 
-def test_stripes_told_backwards_are_the_same_stripes():
+def test_negated_frequency_vectors_are_the_same_stripes():
     wave, backwards = Wave(0.1, 0.02), Wave(-0.1, -0.02)
     assert blend_waves((wave,), (backwards,), 0.5) == (wave,)
     assert blend_waves((wave,), (), 0.4) == (wave,)
@@ -282,7 +282,7 @@ def test_a_material_without_order_blends_with_one_that_has_cells(prior):
         assert torch.isfinite(mostly_ordered.maps(64, 64).stacked()).all()
 
 
-def test_what_cannot_be_blended_is_refused(prior):
+def test_incompatible_materials_are_not_blended(prior):
     a = prior.draw(1)
     with pytest.raises(UsageError, match="not between 0 and 1"):
         blend(a, a, 1.5)
@@ -345,7 +345,7 @@ def test_setups_of_a_portrait_and_a_landscape_keep_the_nearer_ones_geometry():
 
 
 @pytest.mark.parametrize("share", ["2", "0:1", "0:1:1", "a", "-1", "0:2:3"])
-def test_a_share_that_is_none_is_a_usage_error(tmp_path, share, capsys):
+def test_a_blend_share_out_of_range_is_a_usage_error(tmp_path, share, capsys):
     assert main(["blend", "a", "b", f"-t={share}"]) == 2
 
 

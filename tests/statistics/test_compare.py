@@ -55,12 +55,12 @@ def apart(first, second, weights=None):
     return float(distance(described(first), described(second), weights or Weights()))
 
 
-def test_a_window_is_at_no_distance_from_itself():
+def test_the_distance_of_a_window_to_itself_is_zero():
     assert apart(texture(4), texture(4)) == 0
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_alone_sees_what_it_is_there_for(kind):
+def test_each_statistic_alone_detects_its_own_difference(kind):
     only = Weights(**{name: float(name == kind) for name in KINDS})
     base = texture(4)
     changed = {
@@ -73,7 +73,7 @@ def test_each_kind_alone_sees_what_it_is_there_for(kind):
     assert apart(changed, base, only) > 2.0 * max(apart(texture(4, seed=1), base, only), 0.01)
 
 
-def test_other_pieces_of_a_texture_are_nearer_than_other_textures():
+def test_two_windows_of_a_texture_are_nearer_than_two_textures():
     same = apart(texture(4, seed=1), texture(4))
     for other in (texture(2), texture(8), texture(4, contrast=0.1), texture(4).flip(1) * 2.0):
         assert apart(other, texture(4)) > 1.15 * same
@@ -87,7 +87,7 @@ def patches(seed):
     return coarse, sharp - coarse
 
 
-def test_fine_structure_that_has_left_its_coarse_structure_is_seen_across_levels():
+def test_statistics_across_levels_detect_shifted_fine_structure():
     def picture(seed, moved=0):
         coarse, fine = patches(seed)
         return 0.2 * torch.exp(coarse + fine.roll(moved, dims=2))
@@ -110,7 +110,7 @@ def test_windows_are_described_one_by_one():
     assert distance(joined, both, Weights()).max() == 0
 
 
-def test_half_the_exposure_is_the_same_texture_but_for_its_mean():
+def test_half_the_exposure_changes_the_mean_alone():
     base = texture(4)
     full, half = encoding_of(base), encoding_of(0.5 * base)
     assert half.median == pytest.approx(0.5 * full.median)
@@ -119,7 +119,7 @@ def test_half_the_exposure_is_the_same_texture_but_for_its_mean():
     assert float(distance(found, describe(base, full, BANK), Weights())) < 1e-3
 
 
-def test_turned_by_a_right_angle_distribution_and_means_stay():
+def test_rotation_by_90_degrees_keeps_distribution_and_means():
     base, turned = texture(4), torch.rot90(texture(4), 1, (2, 3))
     assert apart(turned, base, Weights(gram=0.0, cross=0.0, spectrum=0.0)) < 1e-5
     assert apart(turned, base, Weights(cross=0.0, spectrum=0.0, histogram=0.0, mean=0.0)) < 0.2
@@ -134,7 +134,7 @@ def test_the_encoding_gives_texture_unit_variance_and_no_correlation():
     assert torch.allclose(torch.cov(encoded), torch.eye(3), atol=0.1)
 
 
-def test_the_gradient_points_the_way_the_distance_falls():
+def test_the_distance_falls_against_its_gradient():
     target = described(texture(4))
     linear = texture(5, seed=2).requires_grad_()
     before = distance(described(linear), target, Weights()).sum()
@@ -178,7 +178,7 @@ def test_filters_have_zero_mean_and_unit_norm_and_differ():
         assert (flat @ flat.T - torch.eye(4)).abs().max() < 0.9
 
 
-def test_the_seed_makes_the_filters_and_nothing_else_does():
+def test_filters_depend_on_the_seed_alone():
     torch.manual_seed(1)
     first = FilterBank(SMALL)
     torch.manual_seed(2)
@@ -195,7 +195,7 @@ def test_a_constant_picture_has_no_response():
     assert features.abs().max() < 1e-4
 
 
-def test_nothing_is_invented_at_the_border():
+def test_borders_add_no_response():
     bank, whole = FilterBank(SMALL), picture(24, 28)
     inner = bank.features(whole[..., 3:-2, 4:-1])
     assert torch.allclose(inner, bank.features(whole)[..., 3:-2, 4:-1], atol=1e-5)
@@ -216,7 +216,7 @@ def test_gradients_are_the_derivatives():
 
 
 @pytest.mark.parametrize(("side", "levels"), [(160, 4), (64, 3), (31, 1), (16, 1)])
-def test_a_pyramid_halves_keeps_the_mean_and_stops_in_time(side, levels):
+def test_a_pyramid_halves_and_keeps_the_mean_down_to_the_least_size(side, levels):
     image = picture(side, side)
     found = pyramid(image, 5)
     assert [level.shape[-1] for level in found] == [side >> k for k in range(levels)]
@@ -250,7 +250,7 @@ def test_second_moments_and_means(shape, layout):
     assert torch.allclose(found[:, -1, :-1], given.mean((2, 3)), atol=1e-6)
 
 
-def test_gradient_is_the_plain_sums():
+def test_the_gradient_equals_that_of_plain_sums():
     weights = features((2, 6, 6), seed=1)  # not symmetric: a gradient that assumes it would fail
     given = features((2, 5, 6, 7)).requires_grad_()
     (gram(given) * weights).sum().backward()
@@ -259,7 +259,7 @@ def test_gradient_is_the_plain_sums():
     assert torch.allclose(given.grad.double(), reference.grad, atol=1e-6)
 
 
-def test_half_precision_comes_back_as_float32():
+def test_half_precision_returns_float32():
     given = features((1, 4, 8, 8))
     found = gram(given.bfloat16())
     assert found.dtype == torch.float32
@@ -311,7 +311,7 @@ def vgg_picture(seed=0, side=48):
     return 0.4 * torch.rand(1, 3, side, side, generator=torch.Generator().manual_seed(seed))
 
 
-def test_its_parameters_have_torchvisions_names_and_shapes(network):
+def test_vgg19_has_the_parameter_names_and_shapes_of_torchvision(network):
     shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
     assert shapes["features.0.weight"] == (64, 3, 3, 3)
     assert shapes["features.10.weight"] == (256, 128, 3, 3)
@@ -320,7 +320,7 @@ def test_its_parameters_have_torchvisions_names_and_shapes(network):
     assert not any(parameter.requires_grad for parameter in network.parameters())
 
 
-def test_five_layers_are_looked_at(network):
+def test_vgg19_compares_five_layers(network):
     found = network.maps(vgg_picture(), ())
     assert [tuple(f.shape[1:]) for f in found] == [
         (64, 48, 48), (128, 24, 24), (256, 12, 12), (512, 6, 6), (512, 3, 3),
@@ -328,7 +328,7 @@ def test_five_layers_are_looked_at(network):
     assert all(f.min() >= 0 for f in found)
 
 
-def test_textures_are_compared_and_the_gradient_reaches_the_picture(network):
+def test_vgg19_distance_has_a_gradient_to_the_picture(network):
     encoding = fit_encoding(vgg_picture()[0], torch.ones(48, 48, dtype=torch.bool))
     target = describe(vgg_picture(), encoding, network)
     assert len(target.grams) == 5 and len(target.spectra) == 2
@@ -340,7 +340,7 @@ def test_textures_are_compared_and_the_gradient_reaches_the_picture(network):
     assert torch.isfinite(rendered.grad).all() and rendered.grad.abs().max() > 0
 
 
-def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path):
+def test_vgg19_weights_are_read_by_name_and_other_files_refused(network, tmp_path):
     path = tmp_path / "vgg19.safetensors"
     extra = {"classifier.0.weight": torch.zeros(2, 2)}  # the published file holds more
     save_file({**network.state_dict(), **extra}, path)
@@ -358,13 +358,13 @@ def test_weights_are_read_by_name_and_anything_else_is_refused(network, tmp_path
 
 
 @pytest.mark.parametrize("statistics", ["vgg19", "vgg16", ""])
-def test_unknown_statistics_are_wrong_usage(statistics):
+def test_unknown_statistics_are_a_usage_error(statistics):
     with pytest.raises(UsageError, match="no statistics"):
         Statistics.parse(statistics)
 
 
 @pytest.mark.parametrize("words", ["filterbank", "vgg19=some/file.pth"])
-def test_settings_tell_of_statistics_in_words(words):
+def test_settings_name_the_statistics(words):
     settings = CaptureSettings.of({"statistics": words})
     assert settings.statistics == Statistics.parse(words)
     assert settings.named()["statistics"] == str(settings.statistics) == words

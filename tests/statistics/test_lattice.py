@@ -41,7 +41,7 @@ def generates(found, wanted):
 @pytest.mark.parametrize(
     ("fx", "fy"), [(1 / 16.7, 0.0), (0.0, 1 / 9.3), (0.05, 0.021), (0.043, -0.06)]
 )
-def test_stripes_are_one_wave(fx, fy):
+def test_stripes_have_one_frequency_vector(fx, fy):
     lattice = find_lattice(wave(fx, fy) + 0.5 * noise(), ALL)
     (found,) = lattice.waves
     sign = 1.0 if found.fx * fx + found.fy * fy > 0 else -1.0
@@ -50,7 +50,7 @@ def test_stripes_are_one_wave(fx, fy):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 1.1])
-def test_a_weave_is_two_waves_that_generate_both_of_its_own(turn):
+def test_a_weave_has_two_frequency_vectors_that_generate_its_lattice(turn):
     c, s = math.cos(turn), math.sin(turn)
     first, second = (c / 17.3, s / 17.3), (-s / 12.9, c / 12.9)
     weave = wave(*first, sharpness=3.0) + wave(*second, sharpness=3.0)
@@ -61,13 +61,13 @@ def test_a_weave_is_two_waves_that_generate_both_of_its_own(turn):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_there_is_no_order_in_noise_fine_or_coarse(seed):
+def test_fine_and_coarse_noise_have_no_lattice(seed):
     assert find_lattice(noise(seed), ALL).waves == ()
     coarse = torch.nn.functional.avg_pool2d(noise(seed)[None], 9, 1, 4)[0]
     assert find_lattice(coarse, ALL).waves == ()
 
 
-def test_clipped_texels_are_not_looked_at():
+def test_clipped_texels_do_not_change_the_lattice():
     valid = ALL.clone()
     valid[:, 260:] = False
     picture = noise()
@@ -75,12 +75,12 @@ def test_clipped_texels_are_not_looked_at():
     assert find_lattice(picture, valid).waves == ()
 
 
-def test_a_picture_smaller_than_a_window_has_none():
+def test_a_picture_smaller_than_a_window_has_no_lattice():
     assert find_lattice(wave(0.1, 0.0)[None, :200, :200].expand(3, -1, -1), ALL).waves == ()
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0])
-def test_nothing_comes_of_nothing(value):
+def test_a_constant_or_unseen_picture_has_no_lattice(value):
     flat = torch.full((3, SIZE, SIZE), value)
     assert find_lattice(flat, ALL).waves == ()
     assert find_lattice(noise(), ~ALL).waves == ()
@@ -129,7 +129,7 @@ def test_white_noise_has_unit_power_everywhere():
     assert float(middle.mean()) == pytest.approx(1.0, abs=0.03)
 
 
-def test_a_cosine_stands_at_its_own_frequency():
+def test_a_cosine_peaks_at_its_frequency():
     power = power_spectrum(cosine(32, 5, -3))[0, 0]
     row, column = divmod(int(power.argmax()), power.shape[1])
     assert (row, column) == (32 - 3, 5)

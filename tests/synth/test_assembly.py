@@ -33,7 +33,7 @@ def assembled(folder, size, texels, parts):
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("wrap", ["", "periodic,clamp"])
-def test_other_programs_read_what_was_computed(tmp_path, size, wrap):
+def test_other_programs_read_the_computed_texels(tmp_path, size, wrap):
     texels = texels_of(planes_of(size, specular=3), 3)
     made = assembled(tmp_path, size, texels, reversed(parts_of(size)))
     for kind in texel_type(3).names:

@@ -33,7 +33,7 @@ def test_random_rectangles_orders_and_workers_give_the_same_bits(material):
     assert run(material, 60) == 60
 
 
-def test_waves_are_the_same_bits_too(wavy):
+def test_fields_with_waves_are_bit_identical_too(wavy):
     assert run(wavy, 20, seed=1) == 20
 
 
@@ -44,12 +44,12 @@ def test_a_periodic_field_is_itself_rolled(material):
         assert torch.equal(one, one.roll((48, BLOCK + 16), (1, 2)))
 
 
-def test_nothing_repeats(material):
+def test_an_endless_field_does_not_repeat(material):
     own, others = correlations(material, 768)
     assert max(own) < 1.2 * max(others)
 
 
-def test_repetition_would_be_found(material):
+def test_the_repetition_test_finds_a_repetition(material):
     # A field of period 256 read as if it were endless.
     def read(seed):
         return Field(material, seed, (256, 256)).read(0, 0, 768, 768).roughness[0].numpy()
@@ -117,7 +117,7 @@ def written(material, folder, area, **asked):
 
 
 @pytest.mark.parametrize("normal", ["gl", "dx"])
-def test_it_is_what_the_renderer_makes_of_the_maps(material, tmp_path, normal):
+def test_the_preview_equals_the_rendered_maps(material, tmp_path, normal):
     shown, document = written(material, tmp_path, Rectangle(-20, 7, 90, 50), normal=normal)
     expected = rendered(read_mapset(document, "file")[0])
     assert shown.shape == expected.shape
@@ -148,7 +148,7 @@ def test_a_texture_set_has_one_of_all_its_tiles(material, tmp_path):
     assert np.array_equal(shown, whole)
 
 
-def test_none_is_written_where_none_is_asked_for_and_an_older_one_goes(material, tmp_path):
+def test_without_a_preview_an_older_one_is_removed(material, tmp_path):
     area = Rectangle(0, 0, 16, 16)
     written(material, tmp_path, area)
     document = synthesise(SynthRequest(material, area, preview=False), tmp_path, Work())
@@ -225,12 +225,12 @@ def digests(words, folder):
     return found
 
 
-def test_a_corner_of_the_field_has_stayed():
+def test_fields_of_earlier_versions_are_bit_identical():
     np.testing.assert_allclose(corner(), np.load(BEFORE / "corner.npy"), atol=1e-4)
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_synth_writes_the_bits_it_wrote_before(call, tmp_path):
+def test_synth_writes_the_bits_of_earlier_versions(call, tmp_path):
     before = json.loads((BEFORE / "digests.json").read_text())
     if before["where"] != where():
         pytest.skip(f"written with {before['where']}")

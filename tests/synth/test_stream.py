@@ -19,8 +19,7 @@ import torch
 
 from matcap.brdf.folder import MapSetInfo, read_mapset
 from matcap.errors import MatcapError, UsageError
-from matcap.field.device import find_device, repeatable
-from matcap.field.field import Field, read_source
+from matcap.field.field import Field, find_device, read_source, repeatable
 from matcap.field.plane import Grid, Rectangle
 from matcap.space.tuned import DecoderSource
 from matcap.synth import stream
@@ -138,7 +137,7 @@ def test_values_that_are_not_finite_are_refused_and_leave_nothing(material, tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_an_older_set_had_and_a_newer_has_not_goes(material, tmp_path):
+def test_files_of_an_older_set_are_removed(material, tmp_path):
     (tmp_path / "m_of_mine.txt").touch()
     write_field(*request(material, png=True), tmp_path)
     write_field(*request(material, udim=(2, 1)), tmp_path)
@@ -203,7 +202,7 @@ def test_a_request_is_written_as_the_field_reads(material, tmp_path):
 @pytest.mark.parametrize(
     ("tile", "period"), [("both", [64, 32]), ("x", [64, None]), ("y", [None, 32])]
 )
-def test_what_repeats_is_the_whole_of_what_is_written(material, tmp_path, tile, period):
+def test_the_document_of_a_tile_states_its_period(material, tmp_path, tile, period):
     area = Rectangle(0, 0, 32, 32)
     asked = SynthRequest(material, area, name="two", udim=(2, 1), tile=tile)
     document = json.loads(synthesise(asked, tmp_path / "set").read_text())
@@ -289,7 +288,7 @@ def test_cuda_that_is_not_there_is_refused(material, monkeypatch):
     assert Field(material, device="auto").source.device.type == "cpu"
 
 
-def test_the_processor_again_is_the_same_bits(wavy):
+def test_two_runs_on_the_cpu_are_bit_identical(wavy):
     source = wavy.generator.source(1)
     moved = replace(source, decoder=source.decoder.to(torch.device("cpu")))
     block = Rectangle(-512, 256, 64, 32)
@@ -304,7 +303,7 @@ def test_nothing_of_a_block_is_left_on_the_processor(wavy):
 
 
 @pytest.mark.parametrize("everything", ["none", "tf32"])
-def test_convolutions_are_exact_for_a_while(monkeypatch, everything):
+def test_repeatable_makes_convolutions_exact_and_restores_settings(monkeypatch, everything):
     """Also where the process wants TF32 everywhere."""
     monkeypatch.setattr(torch.backends, "fp32_precision", everything)
     before = CONVOLUTION.fp32_precision

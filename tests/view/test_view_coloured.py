@@ -149,7 +149,7 @@ def test_the_tile_inside_a_document_says_how_many_channels():
 @pytest.mark.parametrize(
     ("shape", "span"), [("plane", WIDTH), ("plane", 2.5 * WIDTH), ("sphere", 2 * WIDTH)]
 )
-def test_metals_as_relight_draws_them(metals_tab, shape, span, lamp, exposure):
+def test_metals_equal_those_of_relight(metals_tab, shape, span, lamp, exposure):
     shown = picture(metals_tab, shape=shape, x=0, y=0, span=span, lamp=lamp, exposure=exposure)
     wanted, seen = expected(repeated(side_by_side()), shape, span, exposure, lamp=lamp)
     assert np.ptp(wanted[seen], axis=1).max() > 60 * STEP  # colours there are
@@ -162,7 +162,7 @@ def metals_tab(served, shared_tab):
         yield shared_tab(address.url)
 
 
-def test_a_room_in_metals_as_relight_draws_it(metals_tab, tmp_path):
+def test_an_environment_in_metals_equals_that_of_relight(metals_tab, tmp_path):
     shown = picture(metals_tab, shape="sphere", x=0, y=0, span=2 * WIDTH, light="studio",
                     lamp=[-0.35, 0.3, 1])  # fmt: skip
     lights = room_light(metals_tab, "studio", tmp_path / "room.exr")
@@ -197,7 +197,7 @@ def test_where_there_is_no_page_yet_f0_is_the_mean(tab, served, channels):
     assert result == pytest.approx([0, 0, 0, *f0, alpha2, 0, 0, squares])
 
 
-def test_equal_channels_are_drawn_as_one_is(tab, served):
+def test_three_equal_channels_equal_one(tab, served):
     """To the bit: the shader takes one way for both."""
     maps = metal("rust beside steel", 96, 64)
     grey = replace(maps, specular=maps.specular[:1])
@@ -220,7 +220,7 @@ def test_an_enclosed_page_draws_metals_as_well(tab, tmp_path):
     assert page.shown() == []
 
 
-def test_what_appears_keeps_its_colour(tab, served):
+def test_colours_stay_while_a_finer_level_appears(tab, served):
     """Halfway between a coarse form and the sharp one."""
     flat = metal("gold", 64, 64).map(lambda one: one.mean(dim=(1, 2), keepdim=True))
     maps = flat.map(lambda one: one.expand(-1, 64, 64).contiguous())
@@ -313,7 +313,7 @@ def test_the_enclosed_piece_has_its_colour(tab, tmp_path):
     assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
 
 
-def test_four_metals_are_what_they_are_called():
+def test_four_metals_have_their_f0():
     for name, base in METALS.items():
         maps = metal(name, 48, 32)
         assert maps.specular.flatten(1).amax(dim=1).tolist() == pytest.approx(base)

@@ -121,7 +121,7 @@ def test_names_cannot_break_out_of_the_page(material):
         (["{folder}", "--adjust", "shine=1"], "a name of relief", 2),
     ],
 )
-def test_mistakes_are_one_sentence(folder, tmp_path, capsys, arguments, says, code):
+def test_wrong_arguments_are_one_sentence(folder, tmp_path, capsys, arguments, says, code):
     given = [part.format(folder=folder, out=tmp_path) for part in arguments]
     assert main(["view", *given, "--no-open"]) == code
     said = capsys.readouterr().err
@@ -135,7 +135,7 @@ def test_what_is_out_of_range_is_a_usage_error(folder, capsys, asked):
     assert asked[0] in capsys.readouterr().err
 
 
-def test_a_taken_port_is_told(folder, capsys):
+def test_a_port_in_use_is_reported(folder, capsys):
     pytest.importorskip("uvicorn", reason="the extra 'view' is not installed")
     with socket.socket() as taken:
         taken.bind((HOST, 0))
@@ -145,7 +145,7 @@ def test_a_taken_port_is_told(folder, capsys):
     assert f"the port {port} cannot be used" in capsys.readouterr().err
 
 
-def test_without_the_extra_its_install_line_is_told(folder, capsys, monkeypatch):
+def test_a_missing_extra_names_its_install_command(folder, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     assert main(["view", str(folder), "--no-open"]) == 3
     assert 'pip install "matcap[view]"' in capsys.readouterr().err

@@ -72,14 +72,14 @@ def own(tab, address):
 
 
 @pytest.mark.parametrize(("x", "y", "span", "exposure"), PLANES)
-def test_plane_as_relight_draws_it(page, material, x, y, span, exposure):
+def test_the_plane_equals_that_of_relight(page, material, x, y, span, exposure):
     shown = picture(page, shape="plane", x=x, y=y, span=span, lamp=LAMP, exposure=exposure)
     wanted, _ = expected(around(material, x, y), "plane", span, exposure)
     assert np.abs(shown - wanted).max() <= 2 * STEP
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder"])
-def test_round_surfaces_as_relight_draws_them(page, material, shape):
+def test_round_surfaces_equal_those_of_relight(page, material, shape):
     shown = picture(page, shape=shape, x=256, y=256, span=WIDTH, lamp=LAMP)
     wanted, seen = expected(around(material, 256, 256), shape, WIDTH)
     assert seen.mean() > 0.2
@@ -87,7 +87,7 @@ def test_round_surfaces_as_relight_draws_them(page, material, shape):
 
 
 @pytest.mark.parametrize(("room_name", "mean", "most"), [("studio", 2, 8), ("dusk", 3, 16)])
-def test_rooms_as_relight_draws_them(page, material, tmp_path, room_name, mean, most):
+def test_environments_equal_those_of_relight(page, material, tmp_path, room_name, mean, most):
     """Two ways to integrate over surroundings: 48 directions of a lobe, against 144."""
     # The pointer where it leaves the room as it is.
     shown = picture(
@@ -126,7 +126,7 @@ def stored_street(path):
 
 
 @pytest.mark.parametrize("suffix", [".hdr", ".exr", ".png"])
-def test_ones_own_surroundings_as_relight_draws_them(page, material, tmp_path, suffix):
+def test_a_users_environment_equals_that_of_relight(page, material, tmp_path, suffix):
     street = stored_street(tmp_path / f"street{suffix}")
     write_exr(tmp_path / "wanted.exr", street, half=False)
     page.until("!!window.matcap")
@@ -190,7 +190,7 @@ def test_a_picture_is_dropped_onto_the_page(tab, address, tmp_path):
 
 
 @pytest.mark.parametrize("map_name", ["diffuse", "specular", "roughness", "height", "normal"])
-def test_each_map_alone(page, material, map_name):
+def test_each_map_is_shown_alone(page, material, map_name):
     shown = picture(page, map=map_name, x=256, y=256, span=WIDTH)
     maps = material.maps(WIDTH + 2, HEIGHT + 2, x=255 - WIDTH // 2, y=255 - HEIGHT // 2)
     values = getattr(maps, map_name)[:, 1:-1, 1:-1].movedim(0, -1).numpy()
@@ -394,7 +394,7 @@ def test_full_screen_comes_and_goes(own):
     own.loaded()
 
 
-def test_no_mode_complains(tab, served):
+def test_no_mode_logs_an_error(tab, served):
     """The tab itself objects to whatever the console says."""
     material, result = photographed()
     with served(Materials(material, a_material(seed=4)), result) as address:
@@ -448,7 +448,7 @@ def test_without_webgl2_the_page_says_so(tab, address):
     assert "WebGL2" in page.page.inner_text("#trouble")
 
 
-def test_a_server_that_has_gone_is_told(tab, served, subject):
+def test_a_lost_server_is_reported(tab, served, subject):
     with served(subject) as address:
         page = tab(address.url)
         page.loaded()
@@ -458,7 +458,7 @@ def test_a_server_that_has_gone_is_told(tab, served, subject):
     page.complaints.clear()  # the browser's own words about the refused connection
 
 
-def test_adjustments_as_relight_draws_them(page, material):
+def test_adjustments_equal_those_of_relight(page, material):
     given = "relief=1.6,roughness=0.15,saturation=0.4,brightness=0.7,tint=#ffc080"
     state = parse_adjustments(given)
     maps = adjusted(around(material, 256, 256), state)
@@ -535,7 +535,7 @@ def test_the_hint_goes_with_the_first_drag_and_keys_fit_their_panel(own):
     own.loaded()
 
 
-def test_light_and_dark(tab, address):
+def test_the_colour_scheme_can_be_changed(tab, address):
     page = tab(address.url, color_scheme="light")
     assert page.ask("document.documentElement.dataset.theme") == "light"
     ground = "getComputedStyle(document.getElementById('panel')).backgroundColor"
@@ -660,7 +660,7 @@ def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject
     assert page.shown() == []
 
 
-def test_enclosed_page_plays_as_well(tab, tmp_path):
+def test_the_self_contained_page_is_interactive(tab, tmp_path):
     material, result = photographed()
     path = tmp_path / "page.html"
     path.write_text(sealed_page(Materials(material), 256, result), encoding="utf-8")

@@ -69,7 +69,7 @@ def get(client, path, **query):
     return client.get(f"/{ADDRESS.token}/{path}", params=query)
 
 
-def test_page_and_all_that_it_names(client):
+def test_the_page_and_all_its_files_are_served(client):
     page = get(client, "")
     assert page.status_code == 200
     texts = page.text + "".join(get(client, name).text for name in SCRIPTS)
@@ -120,7 +120,7 @@ def test_no_path_leads_to_a_file(client, path):
     assert "root:" not in answer.text and "import" not in answer.text
 
 
-def test_only_reading(client):
+def test_only_get_requests_are_answered(client):
     for method in ("post", "put", "delete", "patch"):
         assert getattr(client, method)(f"/{ADDRESS.token}/page").status_code == 405
 
@@ -128,7 +128,7 @@ def test_only_reading(client):
 @pytest.mark.parametrize(
     ("column", "row", "seed"), [(0, 0, 0), (-3, 2**30, -17), (2**31 - 1, 5, 2)]
 )
-def test_page_is_the_field(client, material, column, row, seed):
+def test_a_tile_holds_the_texels_of_the_field(client, material, column, row, seed):
     answer = get(client, "page", level=0, column=column, row=row, seed=seed)
     maps = Field(material, seed).read(
         column * WIDTH - APRON, row * PAGE_HEIGHT - APRON,
@@ -229,7 +229,7 @@ def test_a_blend_of_exemplars_has_averages_of_its_own():
     assert middle == pytest.approx((first + last) / 2.0, abs=0.2 * abs(last - first))
 
 
-def test_share_blends(client, subject):
+def test_the_blend_share_mixes_both_materials(client, subject):
     from matcap.space.between import blend
 
     found = levels_of(get(client, "page", level=0, column=1, row=1, share=0.25).content)[0]
@@ -281,7 +281,7 @@ def watched(monkeypatch, kind):
     return calls
 
 
-def test_what_nobody_waits_for_is_not_begun(subject, monkeypatch):
+def test_abandoned_requests_are_not_computed(subject, monkeypatch):
     read, begun, go = type(subject).moments, Event(), Event()
 
     def slow(*given, **named):
@@ -397,7 +397,7 @@ def test_the_photographed_piece_is_the_exemplar(tmp_path):
         Materials(a_material()).moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.0, piece=True)
 
 
-def test_what_is_doubtful_is_shaded():
+def test_texels_of_low_confidence_are_hatched():
     exemplar = an_example().exemplar
     confidence = exemplar.confidence.copy()
     confidence[:, :40] = 0.0

@@ -33,7 +33,7 @@ from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.rectified import Method
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
-from matcap.field.device import computes_bfloat16
+from matcap.field.field import computes_bfloat16
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_encode_tensor

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import srgb_encode
-from matcap.relight.effects.bound import DEFAULT_TOLERANCE
+from matcap.relight.effects import DEFAULT_TOLERANCE
 from matcap.relight.render import Renderer
 from matcap.relight.scene import Film, Scene, scene_from_light
 from matcap.relight.scenefile import SCENES, read_scene

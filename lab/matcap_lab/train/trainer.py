@@ -22,7 +22,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from matcap.errors import MatcapError
-from matcap.field.device import computes_bfloat16
+from matcap.field.field import computes_bfloat16
 from matcap.files.output import Output
 from matcap.files.tensors import write_tensors
 

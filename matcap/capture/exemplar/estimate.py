@@ -43,10 +43,10 @@ from matcap.capture.exemplar.relief_spectrum import (
 )
 from matcap.capture.rectified import Rectified
 from matcap.capture.settings import CaptureClock
+from matcap.example.candidates import Frame
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.grids import Frame
 from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane

@@ -26,7 +26,7 @@ import numpy as np
 
 from matcap.relight.block import Block
 from matcap.relight.camera import Array, unit3
-from matcap.relight.effects.bound import Bound
+from matcap.relight.effects import Bound
 from matcap.relight.loops.library import (
     LANES,
     CAreaLight,

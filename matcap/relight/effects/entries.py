@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from matcap.relight.block import Block, Hits
 from matcap.relight.camera import Array
-from matcap.relight.effects import area, direct, environment, multiscatter, relief
-from matcap.relight.effects.bound import Bound
+from matcap.relight.effects import Bound, area, direct, environment, multiscatter, relief
 from matcap.relight.plan import SceneBounds
 from matcap.relight.relief import Relief
 

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from matcap.relight.camera import Array
-from matcap.relight.effects.bound import Bound
+from matcap.relight.effects import Bound
 from matcap.relight.environment_map import albedo
 from matcap.relight.plan import SceneBounds
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from matcap.relight.block import Block, Hits, to_scene
 from matcap.relight.camera import Array, Vec, add
-from matcap.relight.effects.bound import Bound
+from matcap.relight.effects import Bound
 from matcap.relight.loops.library import CSearch, KeptArrays, Pointer, Whole, address, loops
 from matcap.relight.plan import SceneBounds
 from matcap.relight.relief import COARSENESS, Relief

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.optim.adam import adam
 
 from matcap.brdf.maps import MapSet
-from matcap.field.device import computes_bfloat16
+from matcap.field.field import computes_bfloat16
 from matcap.field.plane import Rectangle
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.field.device import computes_bfloat16
+from matcap.field.field import computes_bfloat16
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
 from matcap.flash.rectify import Plane

@@ -46,7 +46,7 @@ def _halved(maps: MapSet) -> Exemplar:
     )
 
 
-def test_the_piece_is_as_sharp_as_its_photograph(shot) -> None:
+def test_the_exemplar_is_as_sharp_as_its_photograph(shot) -> None:
     plane = _plane(shot.linear)
     half = _halved(shot.maps)
     found = transfer_detail(half, plane, shot.uniform)
@@ -68,7 +68,7 @@ def test_grain_does_not_make_albedo_paler(shot) -> None:
     assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
 
 
-def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
+def test_fine_grain_is_restored_and_coarse_albedo_kept(shot) -> None:
     half = _halved(shot.maps)
     found = map_set_of(transfer_detail(half, _plane(shot.linear), shot.uniform))
     fine, true = _fine(found), _fine(shot.maps)
@@ -77,7 +77,7 @@ def test_grain_of_albedo_comes_back_and_what_is_coarser_stays(shot) -> None:
     assert float(coarse.log().abs().mean()) < 0.03
 
 
-def test_the_sensors_noise_is_not_drawn_for_grain(shot) -> None:
+def test_sensor_noise_is_not_taken_for_grain(shot) -> None:
     """Of a smooth albedo little is drawn, and what is drawn of detail is nearer to the truth."""
     rng = np.random.default_rng(5)
     true = _fine(shot.maps)
@@ -141,7 +141,7 @@ def test_flat_maps_stay_flat(shot) -> None:
     assert float(np.abs(found.height).max()) < 1e-6
 
 
-def test_what_clips_is_not_drawn_darker(shot) -> None:
+def test_clipped_texels_are_not_darkened(shot) -> None:
     clip = float(shot.linear.quantile(0.9))
     clipped = shot.linear.clamp_max(clip)
     measured = shot.linear < clip
@@ -151,7 +151,7 @@ def test_what_clips_is_not_drawn_darker(shot) -> None:
     assert float(ratio.log().mean()) > -0.1
 
 
-def test_coarse_textures_are_read_on_half_and_lattices_as_they_are() -> None:
+def test_coarse_textures_are_predicted_at_half_resolution_and_lattices_at_full() -> None:
     y, x = torch.meshgrid(torch.arange(768.0), torch.arange(float(DETAIL)), indexing="ij")
     wide = 0.2 * (0.5 * torch.sin(x / 20.0) * torch.sin(y / 20.0)).exp().expand(3, -1, -1)
     plane = _plane(wide.contiguous())

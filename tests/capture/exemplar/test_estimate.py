@@ -71,7 +71,7 @@ def _found(plane: Plane, coarse: CoarseFit, network: Inverse | None = None) -> E
     return estimate_exemplar(rectified, network or load_inverse(), CaptureClock(None))
 
 
-def test_the_piece_re_renders_to_its_photograph() -> None:
+def test_the_exemplar_re_renders_to_its_photograph() -> None:
     plane, coarse, shot = _plane()
     found = _found(plane, coarse)
     assert found.error < 0.05
@@ -99,7 +99,7 @@ def test_a_black_and_white_weave_is_as_bright_as_photographed() -> None:
     assert float(ratio.log().abs().max()) < 0.03
 
 
-def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:
+def test_an_untrained_network_gives_maps_within_their_ranges() -> None:
     plane, coarse, _ = _plane()
     torch.manual_seed(1)
     network = Inverse(InverseConfig(widths=(8, 8, 12), context=8)).eval().requires_grad_(False)
@@ -107,7 +107,7 @@ def test_even_an_untaught_network_gives_maps_within_their_ranges() -> None:
     assert float(np.abs(exemplar.height).max()) < 1.0
 
 
-def test_nothing_is_trusted_where_nothing_was_seen() -> None:
+def test_confidence_is_zero_where_nothing_was_seen() -> None:
     plane, coarse, shot = _plane(clip=float(photographed(0.15, 0.15, width=256, height=192)
                                             .linear.quantile(0.98)))  # fmt: skip
     found = _found(plane, coarse)
@@ -117,7 +117,7 @@ def test_nothing_is_trusted_where_nothing_was_seen() -> None:
     assert float(found.exemplar.confidence[:, ~unseen].mean()) > 0.2
 
 
-def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
+def test_texels_crushed_to_black_are_not_black_albedo() -> None:
     """A corner of no light says nothing: its albedo is the others', and nobody trusts it."""
     plane, coarse, _ = _plane()
     crushed = plane.linear.clone()
@@ -128,7 +128,7 @@ def test_what_is_crushed_to_black_is_not_read_as_black() -> None:
     assert float(found.diffuse[corner].mean()) > 0.5 * float(found.diffuse[:, 100:].mean())
 
 
-def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
+def test_texels_outside_of_the_photograph_are_no_highlight() -> None:
     plane, coarse, _ = _plane()
     setup = replace(coarse.setup, tilt=(0.08, -0.08))
     height, width = plane.valid.shape
@@ -142,7 +142,7 @@ def test_what_the_photograph_does_not_reach_is_not_taken_for_glare() -> None:
     assert float(found.confidence[:, beyond].max()) == 0.0
 
 
-def test_dark_grains_in_the_light_are_seen() -> None:
+def test_dark_grains_in_lit_places_are_valid() -> None:
     radiance = torch.full((3, 64, 64), 0.05)
     radiance[:, ::9, ::9] = 1e-5
     assert bool(lit(radiance).all())
@@ -153,14 +153,14 @@ def _expected(log: float) -> ExpectedErrors:
     return ExpectedErrors.from_stacked(torch.full((ERRORS, 64, 96), log))
 
 
-def test_confidence_falls_with_the_error_to_be_expected() -> None:
+def test_confidence_falls_with_the_expected_error() -> None:
     seen = np.ones((64, 96), np.float32)
     sure, unsure = (confidence_of(_expected(e), seen, max(seen.shape)) for e in (-4.0, 0.0))
     assert (sure > unsure).all()
     assert sure.max() <= 1.0 and unsure.min() >= 0.0
 
 
-def test_nothing_is_seen_in_a_hole_and_less_beside_it() -> None:
+def test_visibility_is_zero_in_a_hole_and_lower_beside_it() -> None:
     measured = torch.ones(3, 64, 96, dtype=torch.bool)
     measured[:, 20:30, 40:60] = False
     seen = seen_share(measured)
@@ -169,7 +169,7 @@ def test_nothing_is_seen_in_a_hole_and_less_beside_it() -> None:
     assert seen[:15].min() > 0.95 and seen[35:].min() > 0.95
 
 
-def test_sparkles_cost_no_more_than_themselves() -> None:
+def test_visibility_beside_a_sparkle_stays_high() -> None:
     """One texel in twenty clips, in all channels: the picture is seen."""
     measured = torch.ones(3, 64, 96, dtype=torch.bool)
     measured[:] = torch.from_numpy(np.random.default_rng(0).random((64, 96)) > 0.05)
@@ -178,7 +178,7 @@ def test_sparkles_cost_no_more_than_themselves() -> None:
 
 
 @pytest.mark.parametrize(("clipped", "share"), [(0, 1.0), (1, 1.0), (2, 0.0), (3, 0.0)])
-def test_two_channels_show_a_texture_whose_third_one_clips(clipped: int, share: float) -> None:
+def test_two_unclipped_channels_suffice_for_visibility(clipped: int, share: float) -> None:
     """Red cloth: inpainted where red alone clipped, a knit had a lump of displaced stitches."""
     measured = torch.ones(3, 64, 96, dtype=torch.bool)
     measured[:clipped] = False
@@ -204,7 +204,7 @@ def test_weights_are_refused_when_damaged_or_missing(tmp_path: Path) -> None:
         read_inverse(tmp_path / "missing")
 
 
-def test_what_is_read_has_no_mesh_of_two_texels():
+def test_predictions_have_no_grid_of_two_texels():
     """Under a network whose head differs by place: what alternates along rows or columns goes."""
     network = Inverse(InverseConfig((16, 16), 16)).eval()
     with torch.no_grad():
@@ -273,7 +273,7 @@ def _flat(width: int, height: int) -> MapSet:
     )
 
 
-def test_uniform_radiance_is_what_the_renderer_makes_of_flat_maps() -> None:
+def test_uniform_radiance_equals_rendered_flat_maps() -> None:
     points = _points(64, 48)
     expected = render_flash(_flat(64, 48), SETUP, points)
     found, diffuse = uniform_radiance(UNIFORM, FlashLight.of(SETUP, points))
@@ -281,7 +281,7 @@ def test_uniform_radiance_is_what_the_renderer_makes_of_flat_maps() -> None:
     assert bool((diffuse < found).all())
 
 
-def test_a_photograph_of_the_uniform_material_departs_nowhere() -> None:
+def test_a_photograph_of_the_uniform_material_has_no_residual() -> None:
     points = _points(256, 192)
     linear = render_flash(_flat(256, 192), SETUP, points)
     inputs = network_inputs(linear, torch.ones(192, 256, dtype=torch.bool), UNIFORM, points)
@@ -290,7 +290,7 @@ def test_a_photograph_of_the_uniform_material_departs_nowhere() -> None:
 
 
 @pytest.mark.parametrize("fov", [40.0, 65.0, 90.0])
-def test_matte_slopes_show_as_the_tangent_of_the_lights_direction(fov: float) -> None:
+def test_slope_sensitivity_of_matte_is_the_tangent_of_the_light(fov: float) -> None:
     """d log(n.l) / d slope at a flat place is -l_xy / l_z."""
     setup = FlashSetup(fov=fov, offset=(0.08, 0.02, 0.0))
     matte = Uniform((0.5, 0.5, 0.5), 1e-6, 0.99, setup)
@@ -304,7 +304,7 @@ def test_matte_slopes_show_as_the_tangent_of_the_lights_direction(fov: float) ->
     assert torch.allclose(inputs.slope_sensitivity, -tangent, atol=0.02)
 
 
-def test_reading_undoes_writing() -> None:
+def test_residuals_plus_the_uniform_material_are_the_maps() -> None:
     generator = torch.Generator().manual_seed(3)
     draw = lambda channels: torch.rand(channels, 8, 12, generator=generator)  # noqa: E731
     maps = MapSet(
@@ -316,7 +316,7 @@ def test_reading_undoes_writing() -> None:
     assert torch.allclose(again.stacked(), maps.stacked(), atol=1e-5)
 
 
-def test_reads_pictures_of_any_aspect_and_starts_from_the_photograph_as_albedo() -> None:
+def test_the_network_takes_any_aspect_and_starts_with_the_photograph_as_albedo() -> None:
     torch.manual_seed(0)
     network = Inverse(TINY).eval()
     for height, width in ((32, 64), (96, 32)):
@@ -328,7 +328,7 @@ def test_reads_pictures_of_any_aspect_and_starts_from_the_photograph_as_albedo()
         assert float((albedo - NetworkInputs.from_stacked(inputs).log).abs().mean()) < 0.5
 
 
-def test_what_is_seen_in_one_corner_is_told_in_the_other() -> None:
+def test_one_corner_of_the_input_changes_the_opposite_one() -> None:
     """Pooled context reaches farther than any convolution does."""
     torch.manual_seed(0)
     network = Inverse(TINY).eval()
@@ -381,7 +381,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / photo.stem
 
 
-def test_the_piece_is_written_beside_the_material(folder: Path) -> None:
+def test_the_exemplar_is_written_beside_the_material(folder: Path) -> None:
     name = folder.name
     maps, document = read_mapset(folder / f"{name}_photo.json")
     trusted = read_exr(folder / f"{name}_photo_confidence.exr").pixels
@@ -392,7 +392,7 @@ def test_the_piece_is_written_beside_the_material(folder: Path) -> None:
     assert find_mapsets(folder) == [folder / f"{name}.json"]
 
 
-def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
+def test_the_material_holds_its_exemplar(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
     assert set(material.generators) == {"example"}
     assert material.maps(48, 48, seed=2).size == (48, 48)
@@ -400,7 +400,7 @@ def test_the_material_holds_the_piece_and_is_read_by_it(folder: Path) -> None:
         material.maps(48, 48, generator="decoder")
 
 
-def test_it_is_blended_with_a_decoders_field(folder: Path) -> None:
+def test_an_exemplar_is_blended_with_a_decoder(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
     drawn = a_material("drawn", across=512)
     between = blend(material, drawn, 0.5)
@@ -410,7 +410,7 @@ def test_it_is_blended_with_a_decoders_field(folder: Path) -> None:
     assert blend(material, drawn, 0.0) is material
 
 
-def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None:
+def test_the_preview_shows_exemplar_and_photograph(folder: Path) -> None:
     with Image.open(folder / "preview.png") as sheet:
         whole = np.asarray(sheet).astype(int)
     for lines in range(1, 8):  # of the verdict, above two blocks of one size
@@ -427,7 +427,7 @@ def test_the_preview_shows_the_piece_beside_the_photograph(folder: Path) -> None
     assert own_away < 0.5 * away
 
 
-def test_the_report_says_how_right_it_is(folder: Path) -> None:
+def test_the_report_states_the_errors_of_the_exemplar(folder: Path) -> None:
     values = json.loads((folder / "report.json").read_text())["exemplar"]
     assert 0.0 <= values["error"] < 0.5
     assert 0.0 <= values["left_out"] < 0.5

@@ -40,7 +40,7 @@ def away(mirror: tuple[float, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("radius", [16.0, 40.0])
 @pytest.mark.parametrize("gain", [0.5, 2.0])
-def test_a_disc_is_found_whole_and_little_more(radius, gain):
+def test_a_disc_is_found_within_its_radius(radius, gain):
     disc = away(MIRROR) < radius
     found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, away(MIRROR))
     assert found[disc].all()
@@ -55,7 +55,7 @@ def test_a_ring_is_found_with_what_it_surrounds_if_it_is_near():
 
 
 @pytest.mark.parametrize("grain", [1.0, 3.0, 12.0])
-def test_a_texture_has_none(grain):
+def test_a_texture_has_no_highlight_residue(grain):
     rng = np.random.default_rng(5)
     hits = 0
     for seed in range(20):
@@ -64,7 +64,7 @@ def test_a_texture_has_none(grain):
     assert hits <= 2
 
 
-def test_a_spot_elsewhere_is_the_materials():
+def test_a_spot_away_from_the_mirror_point_is_kept():
     spot = away((400.0, 100.0)) < 20.0
     found = remaining_highlight(texture(2) * np.where(spot, 2.0, 1.0), KNOWN, away(MIRROR))
     assert not found.any()
@@ -78,7 +78,7 @@ def test_a_narrow_core_is_found_off_the_fitted_mirror_point(off):
     assert found.sum() < 9 * core.sum()
 
 
-def test_a_spot_like_others_of_the_material_is_none():
+def test_a_spot_like_others_is_kept():
     albedo = texture(9)
     for x in range(20, WIDTH, 64):
         for y in range(20, HEIGHT, 64):
@@ -86,7 +86,7 @@ def test_a_spot_like_others_of_the_material_is_none():
     assert not remaining_highlight(albedo, KNOWN, away(MIRROR)).any()
 
 
-def test_what_is_not_known_is_no_evidence():
+def test_unknown_texels_are_no_evidence_of_a_spot():
     disc = away(MIRROR) < 16.0
     found = remaining_highlight(texture(3) * np.where(disc, 9.0, 1.0), ~disc, away(MIRROR))
     assert not found.any()
@@ -173,7 +173,7 @@ def shot() -> Photographed:
     return replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
 
 
-def test_a_hole_looks_like_the_rest(shot: Photographed) -> None:
+def test_an_inpainted_hole_has_the_statistics_of_the_rest(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     whole = _lent(shot, exemplar, HOLE)
     hole = np.log(whole.diffuse)[:, *HOLE]
@@ -186,7 +186,7 @@ def test_a_hole_looks_like_the_rest(shot: Photographed) -> None:
     assert np.array_equal(whole.confidence, exemplar.confidence)
 
 
-def test_what_is_far_from_the_hole_is_untouched(shot: Photographed) -> None:
+def test_texels_far_from_the_hole_are_unchanged(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     whole = _lent(shot, exemplar)
     for name in ("diffuse", "specular", "roughness", "height"):
@@ -194,7 +194,7 @@ def test_what_is_far_from_the_hole_is_untouched(shot: Photographed) -> None:
         assert np.array_equal(before[:, :70], after[:, :70]), name
 
 
-def test_the_drawing_is_what_the_photograph_shows_there(
+def test_inpainted_texture_matches_what_the_photograph_shows(
     shot: Photographed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With the picture to go by, the truth's own drawing comes back; by chance it does not."""
@@ -209,7 +209,7 @@ def test_the_drawing_is_what_the_photograph_shows_there(
     assert likeness > max(0.7, _likeness(_lent(shot, exemplar), shot) + 0.1)
 
 
-def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
+def test_a_scratch_through_the_highlight_is_kept(shot: Photographed) -> None:
     """A scratch that continues through the highlight is kept."""
     albedo = shot.maps.diffuse.clone()
     albedo[:, 100:220, 250:262] *= 4.0
@@ -221,7 +221,7 @@ def test_what_nothing_looks_like_stays(shot: Photographed) -> None:
     assert whole.diffuse[inside].mean() == pytest.approx(exemplar.diffuse[inside].mean(), rel=0.05)
 
 
-def test_a_drawing_that_never_comes_again_is_lent_all_the_same(shot: Photographed) -> None:
+def test_a_unique_pattern_is_inpainted_too(shot: Photographed) -> None:
     """No two places of bumps are alike; glare over them must not stay a pale disc for that."""
     bumpy = photographed(0.1, 0.3)
     exemplar = _hidden(bumpy)
@@ -230,13 +230,13 @@ def test_a_drawing_that_never_comes_again_is_lent_all_the_same(shot: Photographe
     assert hole.std((1, 2)).mean() == pytest.approx(truth.std((1, 2)).mean(), rel=0.3)
 
 
-def test_it_is_the_same_every_time(shot: Photographed) -> None:
+def test_inpainting_is_deterministic(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     first, again = (_lent(shot, exemplar) for _ in range(2))
     assert np.array_equal(first.stacked(), again.stacked())
 
 
-def test_nothing_is_lent_where_nothing_hides_or_nobody_can(shot: Photographed) -> None:
+def test_confident_scattered_or_tiny_exemplars_are_not_inpainted(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     trusted = replace(exemplar, confidence=np.ones_like(exemplar.confidence))
     assert _lent(shot, trusted) is trusted
@@ -263,7 +263,7 @@ def test_a_coloured_specular_albedo_is_copied_as_the_field_reads_it(shot: Photog
         assert getattr(maps, name).flags.c_contiguous, name
 
 
-def test_a_wrong_slope_of_the_highlight_is_no_scratch(shot: Photographed) -> None:
+def test_a_wrong_slope_in_the_highlight_leaves_no_scratch(shot: Photographed) -> None:
     """An error of the fitted highlight, quadratic in place, neither keeps nor changes a drawing."""
     exemplar = _hidden(shot)
     y, x = torch.meshgrid(torch.linspace(-4, 4, 384), torch.linspace(-5, 5, 512), indexing="ij")
@@ -297,7 +297,7 @@ def copied_from(rows, columns):
     return source
 
 
-def test_what_is_moved_to_where_it_continues_is_exact():
+def test_a_copy_from_one_period_away_is_exact():
     """A period away all is the same."""
     y, x = np.mgrid[:SIZE, :SIZE].astype(np.float32)
     maps = np.stack([np.sin(2 * np.pi * x / 16), np.cos(2 * np.pi * (x + y) / 16)])
@@ -306,7 +306,7 @@ def test_what_is_moved_to_where_it_continues_is_exact():
     assert result == pytest.approx(maps, abs=1e-4)
 
 
-def test_a_drift_leaves_no_step_and_no_change_of_what_is_drawn():
+def test_a_drift_between_source_and_target_leaves_no_step():
     rng = np.random.default_rng(1)
     drawn = rng.normal(0.0, 0.1, (1, SIZE, SIZE))
     maps = (drawn + np.linspace(0.0, 3.0, SIZE)[None, None]).astype(np.float32)
@@ -325,7 +325,7 @@ def test_a_drift_leaves_no_step_and_no_change_of_what_is_drawn():
     assert np.array_equal(blended[:, ~FREE], maps[:, ~FREE])
 
 
-def test_far_from_a_seam_the_source_decides():
+def test_far_from_a_seam_texels_are_those_of_the_source():
     """`reach` texels away most of a step is forgotten, and several of them away all of it."""
     maps = np.zeros((1, SIZE, SIZE), np.float32)
     maps[:, :, :8] = 1.0
@@ -335,6 +335,6 @@ def test_far_from_a_seam_the_source_decides():
     assert middle == pytest.approx(1.0, abs=0.02)
 
 
-def test_nothing_free_is_the_same_object():
+def test_without_free_texels_the_input_is_returned():
     maps = np.ones((2, SIZE, SIZE), np.float32)
     assert composed(maps, copied_from(0, 0), np.zeros_like(FREE), 10.0) is maps

@@ -34,19 +34,19 @@ PHONE = PhoneCamera(width=800, height=600)
 
 
 @pytest.mark.parametrize("bent", [(0.0, 0.0), (0.03, -0.01), (-0.03, 0.01)])
-def test_what_a_camera_sees_is_where_it_sees_it(bent):
+def test_projection_and_unprojection_are_inverse(bent):
     camera = PosedCamera.of(SETUP, bent)
     np.testing.assert_allclose(camera.on_plane(camera.sees(POINTS)), POINTS, atol=1e-9)
 
 
-def test_a_photographs_own_camera_is_the_planes():
+def test_the_camera_of_a_photograph_is_that_of_its_plane():
     camera = PosedCamera.of(SETUP)
     expected = project(torch.from_numpy(POINTS), SETUP)
     np.testing.assert_allclose(camera.sees(POINTS), expected, atol=1e-12)
     assert camera.tilt == pytest.approx(math.acos(math.cos(0.1) * math.cos(-0.05)))
 
 
-def test_what_lies_behind_is_not_seen():
+def test_points_behind_the_camera_are_not_seen():
     camera = PosedCamera(np.diag([1.0, 1.0, 1.0]), np.array([0.0, 0.0, -1.0]), Lens(1.5))
     assert np.isnan(camera.sees(POINTS)).all()
 
@@ -82,7 +82,7 @@ def test_matches_off_by_half_a_pixel_cost_half_a_percent():
         assert np.linalg.norm(off) < 0.02 * np.linalg.norm(true.place)
 
 
-def test_a_wrong_start_is_left_behind():
+def test_a_wrong_start_is_corrected():
     cameras = hold(PHONE, Hand(), 4, 4)
     leaning = replace(FlashSetup(fov=PHONE.fov), tilt=(0.08, -0.06))
     found = adjust(leaning, _pairs(cameras), known=True)
@@ -100,7 +100,7 @@ def _grain():
     return Photo(pixels, pixels.max(-1) >= 1.0, 65.0, "exif", False, "grain", (240, 180))
 
 
-def test_features_lie_where_they_are_whichever_way_the_picture_is_held():
+def test_features_are_invariant_to_rotation():
     photo = _grain()
     turned = replace(photo, pixels=np.ascontiguousarray(photo.pixels[::-1, ::-1]))
     one, other = (find_keypoints(each, normalise_contrast) for each in (photo, turned))
@@ -129,7 +129,7 @@ def _mistaken(right, wrong, seed):
     return first, second
 
 
-def test_one_match_in_thirty_that_is_right_is_found():
+def test_one_right_match_in_thirty_suffices():
     for seed in range(3):
         first, second = _mistaken(30, 870, seed)
         found, _ = matched(first, second)
@@ -138,7 +138,7 @@ def test_one_match_in_thirty_that_is_right_is_found():
         assert len(kept & right) >= 28 and len(kept - right) <= 2
 
 
-def test_what_agrees_by_chance_is_too_little():
+def test_chance_agreement_is_refused():
     for seed in range(3):
         found, _ = matched(*_mistaken(0, 900, seed))
         assert found.shape[1] < MATCHES - 4
@@ -239,7 +239,7 @@ def test_deviations_of_a_flat_sample_are_small():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_shading_moves_is_said(seed):
+def test_deviations_cover_errors_by_shading(seed):
     true, pairs, found = _adjusted(seed, 0.4, _bumps)
     deviations = camera_deviations(found, pairs)
     off = _position_errors(true, found)

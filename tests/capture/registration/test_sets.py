@@ -32,7 +32,7 @@ def pair(request):
     return flash, replace(flash, pixels=pixels, clipped=pixels.max(-1) >= 1.0, name="ambient")
 
 
-def test_what_the_file_says_counts(pair):
+def test_flash_in_metadata_counts(pair):
     flash, ambient = pair
     result = without_flash([flash, flash, replace(ambient, flash_fired=False)])
     assert list(result) == [2] and "did not fire" in result[2]
@@ -41,13 +41,13 @@ def test_what_the_file_says_counts(pair):
     assert without_flash([flash, replace(ambient, flash_fired=True)]) == {}
 
 
-def test_light_tells_where_the_file_does_not(pair):
+def test_flash_is_found_by_the_light_without_metadata(pair):
     flash, ambient = (replace(photo, flash_fired=None) for photo in pair)
     result = without_flash([flash, ambient, flash])
     assert list(result) == [1] and "shows no flash" in result[1]
 
 
-def test_where_no_flash_shows_at_all_none_is_named(pair):
+def test_photographs_without_any_flash_name_none(pair):
     unsaid = replace(pair[1], flash_fired=None)
     assert without_flash([unsaid, unsaid]) == {}
     never = replace(pair[0], flash_fired=False)
@@ -55,7 +55,7 @@ def test_where_no_flash_shows_at_all_none_is_named(pair):
 
 
 @pytest.mark.parametrize("pair", ["plaster"], indirect=True)
-def test_it_comes_last_and_gives_no_frame(pair):
+def test_a_photograph_without_flash_is_last_and_gives_no_frame(pair):
     flash, ambient = pair[0], replace(pair[1], flash_fired=False)
     assert flash_first([ambient, flash, flash]) == [flash, flash, ambient]
     setup = FlashSetup(fov=CAMERA.fov)
@@ -117,7 +117,7 @@ def _photographs(albedo):
 
 
 @pytest.mark.parametrize(("thread", "clouds", "flaws"), [(0.04, 0.1, 0.1), (0.1, 0.1, 0.05)])
-def test_a_weave_with_flaws_is_laid_in_its_place(thread, clouds, flaws):
+def test_a_weave_with_flaws_is_registered(thread, clouds, flaws):
     cameras, photos = _photographs(_weave(thread, clouds, flaws))
     found = register(photos, FlashSetup(fov=PHONE.fov))
     assert len(found.views) == 2 and is_periodic(photos[0])
@@ -127,13 +127,13 @@ def test_a_weave_with_flaws_is_laid_in_its_place(thread, clouds, flaws):
     assert np.hypot(*(there - points)[:2]).max() < 0.1 * thread
 
 
-def test_a_weave_without_a_flaw_is_refused_in_a_sentence():
+def test_a_flawless_weave_is_refused_in_one_sentence():
     _, photos = _photographs(_weave(0.04, 0.0, 0.0))
     found = register(photos, FlashSetup(fov=PHONE.fov))
     (refused,) = found.left_out
     assert "pattern repeats" in refused.why and "border" in refused.why
 
 
-def test_grain_does_not_repeat_itself():
+def test_grain_has_no_period():
     _, photos = _photographs(_weave(1e9, 0.1, 0.3))  # of one thread
     assert not is_periodic(photos[0])

@@ -50,7 +50,7 @@ def test_a_material_has_a_plain_name(tmp_path, name, plain):
     assert Material.load(path).name == plain
 
 
-def test_a_stranger_cannot_have_memory_taken(tmp_path, monkeypatch):
+def test_a_hostile_file_cannot_claim_memory(tmp_path, monkeypatch):
     """The widest decoder that single widths allow would take gigabytes: refused before any."""
     path = tmp_path / "a.matcap"
     write_material(path)

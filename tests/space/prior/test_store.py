@@ -39,7 +39,7 @@ def rewrite(path, change_tensors=None, change_about=None):
     save_file(tensors, path, {"matcap": json.dumps(about)})
 
 
-def test_a_prior_comes_back_in_half_precision(prior, path):
+def test_a_prior_is_read_back_in_half_precision(prior, path):
     again = load_prior(path)
     for name, value in prior.decoder.state_dict().items():
         assert torch.equal(again.decoder.state_dict()[name], value.half().float())
@@ -72,13 +72,13 @@ def test_a_wrong_tensor_is_named(path, change, message):
         (lambda a: a.pop("decoder"), "description is damaged"),
     ],
 )
-def test_a_wrong_description_is_told(path, change, message):
+def test_a_wrong_description_is_refused(path, change, message):
     rewrite(path, change_about=change)
     with pytest.raises(MatcapError, match=message):
         load_prior(path)
 
 
-def test_what_is_no_prior_is_refused(tmp_path):
+def test_other_files_are_no_prior(tmp_path):
     garbage = tmp_path / "garbage"
     garbage.write_bytes(b"\x10" * 100)
     foreign = tmp_path / "foreign.safetensors"
@@ -120,7 +120,7 @@ def test_draws_repeat_and_differ_by_seed(prior):
     assert bool(torch.isfinite(one).all())
 
 
-def test_drawing_follows_the_habits(prior):
+def test_draws_have_the_conditional_mean(prior):
     """Means over many draws are the habits' offset; a sigmoid's argument is the decoder's mean."""
     from matcap.space.prior.store import base_from, varying
 
@@ -153,14 +153,14 @@ def generator(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
-def test_without_spread_a_anchor_is_drawn_itself():
+def test_a_draw_without_spread_is_its_anchor():
     here = anchor(1, WOVEN)
     drawn = here.near(0.0, generator())
     assert torch.equal(drawn.code, here.code) and torch.equal(drawn.rest, here.rest)
     assert drawn.waves == WOVEN
 
 
-def test_with_all_spread_nothing_of_a_anchor_is_left_but_its_order():
+def test_a_draw_of_full_spread_keeps_only_the_lattice_of_its_anchor():
     one, other = anchor(1).near(1.0, generator()), anchor(2).near(1.0, generator())
     assert torch.equal(one.code, other.code)
 
@@ -174,14 +174,14 @@ def test_more_spread_is_farther_and_keeps_the_variance():
     assert float(many.var(0).mean()) == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_base_is_told_by_code_and_rest(prior):
+def test_the_base_is_predicted_from_code_and_rest(prior):
     habits, code = prior.conditional_mean, anchor(3).code
     base = base_of(coarse(), torch.tensor([0.2, 0.3, 0.25]))
     again = habits.base(code, habits.rest(code, base))
     torch.testing.assert_close(varying(again), varying(base), atol=1e-4, rtol=1e-4)
 
 
-def test_draws_are_near_the_anchors_and_bring_their_order(known):
+def test_draws_are_near_anchors_and_have_their_lattice(known):
     waves = {known.draw(seed).part(TunedDecoder).waves for seed in range(12)}
     assert waves == {WOVEN, ()}
     codes = torch.stack(
@@ -190,7 +190,7 @@ def test_draws_are_near_the_anchors_and_bring_their_order(known):
     assert float(torch.cdist(codes, known.anchors.codes).min(dim=1).values.max()) < 0.15 * 8.0
 
 
-def test_a_draw_may_be_near_a_place_of_ones_own(known):
+def test_a_draw_may_be_near_a_given_code(known):
     here = anchor(7, WOVEN)
     at, near, far = (known.draw(3, near=here, spread=t) for t in (0.0, 0.3, 1.0))
     at, near, far = (material.part(TunedDecoder) for material in (at, near, far))
@@ -200,12 +200,12 @@ def test_a_draw_may_be_near_a_place_of_ones_own(known):
 
 
 @pytest.mark.parametrize("spread", [-0.1, 1.5, float("nan")])
-def test_a_spread_that_is_none_is_refused(known, spread):
+def test_a_spread_out_of_range_is_refused(known, spread):
     with pytest.raises(UsageError, match="between 0 and 1"):
         known.draw(0, spread=spread)
 
 
-def test_a_photograph_has_a_place(known):
+def test_a_photograph_is_encoded_to_a_place(known):
     photo = small_photo(0)
     place = known.place(photo)
     assert place.code.shape == (CODE_SIZE,) and place.rest.shape == (VARYING,)
