@@ -14,10 +14,13 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from PIL.JpegImagePlugin import JpegImageFile
 
 _MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
 
@@ -157,13 +160,31 @@ def unsupported_jpeg(path: Path) -> str:
 
 # JPEGs that lack their end marker alone, as copies and network cameras leave them.
 
-NO_END = "The JPEG lacks its end marker; all of its picture is there."
+_NO_END = "The JPEG lacks its end marker; all of its picture is there."
 _END = b"\xff\xd9"
 # Appended in turn: where a picture lacks codes, they decode to different ones.
 _FILLERS = (b"", b"\x5a" * 64, b"\xa5\x13" * 64)
 
 
-def with_end(path: Path) -> bytes | None:
+def loaded_jpeg(image: JpegImageFile, path: Path) -> tuple[JpegImageFile, tuple[str, ...]]:
+    """A JPEG file with its pixels decoded, and a note if only its end marker was missing.
+
+    Raises:
+        OSError: it is truncated.
+    """
+    try:
+        image.load()
+    except OSError:
+        whole = _with_end(path)
+        if whole is None:
+            raise
+        image = type(image)(io.BytesIO(whole))
+        image.load()
+        return image, (_NO_END,)
+    return image, ()
+
+
+def _with_end(path: Path) -> bytes | None:
     """A JPEG's bytes with an end marker, if that is all it lacks; else None."""
     from PIL.JpegImagePlugin import JpegImageFile
 

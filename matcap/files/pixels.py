@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.color import LINEAR, LUMINANCE, largest_code, linear, rec709_from, srgb_picture
 from matcap.files.containers import (
-    NO_END,
     NO_RGB,
     Tag,
     TiffPicture,
     is_tiff,
+    loaded_jpeg,
     meant_picture,
     unsupported_jpeg,
-    with_end,
 )
 from matcap.files.exr import (
     MAGIC,
@@ -212,29 +211,19 @@ def read_pixels(path: Path, *, outside: float | None = None, wanted: Sequence[st
 
 
 def _from_jpeg(path: Path) -> Pixels:
-    from PIL import Image
+    from PIL.JpegImagePlugin import JpegImageFile
 
     if coding := unsupported_jpeg(path):
         raise _unsupported(path, coding)
-    notes: tuple[str, ...] = ()
     try:
         with warnings.catch_warnings(), path.open("rb") as file:
             warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
-            image: Any = Image.open(file, formats=("JPEG", "MPO"))
+            image: Any = JpegImageFile(file)
             _check_size(path, *image.size)
             _check_colours(path, image.mode)
-            try:
-                image.load()
-            except OSError:
-                whole = with_end(path)
-                if whole is None:
-                    raise
-                image, notes = Image.open(io.BytesIO(whole), formats=("JPEG",)), (NO_END,)
-                image.load()
+            image, notes = loaded_jpeg(image, path)
     except (MatcapError, MemoryError):
         raise
-    except Image.DecompressionBombError as error:
-        raise _too_large(path) from error
     except Exception as error:  # Pillow raises anything at all on broken bytes
         raise _broken(path) from error
     stored = np.asarray(image.convert("L") if image.mode == "1" else image)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import warnings
 from collections.abc import Callable
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files import containers
 from matcap.files.color import Linearise, largest_code
-from matcap.files.containers import NO_END, unsupported_jpeg, with_end
+from matcap.files.containers import loaded_jpeg, unsupported_jpeg
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, FocalPlane, read_exif
@@ -206,15 +205,7 @@ def read_jpeg(path: Path, long_side: int | None) -> tuple[Decoded, Exif]:
         check_size(path, *size)
         if size[0] * size[1] > _LARGE and long_side is not None and 2 * long_side <= max(size):
             image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
-        notes: tuple[str, ...] = ()
-        try:
-            image.load()
-        except OSError:
-            whole = with_end(path)
-            if whole is None:
-                raise
-            image, notes = JpegImageFile(io.BytesIO(whole)), (NO_END,)
-            image.load()
+        image, notes = loaded_jpeg(image, path)
     if image.mode not in _MODES:
         raise unsupported(path, f"a JPEG of {image.mode} colours")
 

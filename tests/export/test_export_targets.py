@@ -13,7 +13,6 @@ import pytest
 import torch
 from exported import MATERIALS, METALS
 from materials import a_material
-from simulated.materials import MATERIALS as MATERIALS_MATERIALS
 from simulated.materials import realise
 from target_surfaces import every, of_maps, residual
 
@@ -179,7 +178,7 @@ def by_example(name):
     return a_material(name, example=Example.of(exemplar))
 
 
-@pytest.mark.parametrize("name", MATERIALS_MATERIALS)
+@pytest.mark.parametrize("name", ["leather", "cloth", "tile"])
 def test_a_materials_tile_has_no_seam_and_exports_say_so(tmp_path, name):
     by_example(name).save(tmp_path / f"{name}.matcap")
     found = open_tile(tmp_path, size=(256, 256))
