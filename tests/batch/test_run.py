@@ -273,6 +273,7 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
     assert plan(overwrite=True)["a"].state == "todo"
 
 
+@pytest.mark.capture
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 def test_a_killed_batch_resumes_to_the_same_files(tmp_path):
     """`torture` of kills.py kills more often than once, too."""

@@ -159,6 +159,7 @@ def photos(tmp_path_factory):
     return sorted(folder.glob("tile_*.jpg"))
 
 
+@pytest.mark.capture
 @pytest.mark.parametrize("generator", ["example", "decoder"])
 def test_a_capture_uses_the_tilt_of_the_alignment_branch(tmp_path, photos, asked, generator):
     steps = 1 if generator == "decoder" else None
@@ -233,6 +234,7 @@ def captures(photographs):
     return {name: capture_file(path, settings) for name, path in photographs.items()}
 
 
+@pytest.mark.capture
 def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_path):
     """Across blocks of the grid, where it repeats too, and read from its file."""
     settings = CaptureSettings(
@@ -256,6 +258,7 @@ def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_
             assert torch.equal(maps.stacked(), turned.stacked())
 
 
+@pytest.mark.capture
 def test_a_portrait_exemplar_is_the_landscape_one_rotated(captures):
     lying, standing = (captures[name].estimate.exemplar for name in ("lying", "standing"))
     assert standing.size == lying.size[::-1] and standing.size[0] < standing.size[1]
@@ -265,6 +268,7 @@ def test_a_portrait_exemplar_is_the_landscape_one_rotated(captures):
     assert not captures["lying"].material.setup.turned
 
 
+@pytest.mark.capture
 def test_field_preview_and_maps_of_a_portrait_are_upright(captures):
     """The field's stripes run as the upright photograph's: seen by the phase of the gradient."""
     standing = captures["standing"]
@@ -295,6 +299,7 @@ def written(captures, tmp_path_factory):
     return folder
 
 
+@pytest.mark.capture
 def test_written_files_of_a_portrait_are_upright(captures, written):
     piece, document = read_mapset(written / "standing_photo.json")
     assert piece.size == (144, 192)
@@ -304,6 +309,7 @@ def test_written_files_of_a_portrait_are_upright(captures, written):
     assert sheet.shape[0] > 1000
 
 
+@pytest.mark.capture
 @pytest.mark.parametrize("of", ["standing.matcap", "standing_photo.json"])
 def test_under_its_own_flash_a_portrait_looks_like_the_photograph(captures, written, of):
     """The camera stands, too: the picture is that of the piece re-rendered, not turned."""

@@ -30,6 +30,7 @@ from matcap.errors import UsageError
 PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
 
 
+@pytest.mark.capture
 @pytest.mark.parametrize(
     ("generator", "stages", "longest"),
     [
@@ -84,6 +85,7 @@ def test_a_stage_without_a_share_raises():
         pass
 
 
+@pytest.mark.capture
 def test_a_default_material_loads_no_compiler_and_nothing_of_the_decoder(tmp_path):
     """Capture, synth, relight, export and view, in a process of its own."""
     program = """

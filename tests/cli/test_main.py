@@ -295,6 +295,7 @@ QUICK = {
 }
 
 
+@pytest.mark.capture
 def test_lines_of_the_readme_run_in_order(matcap, tmp_path, monkeypatch):
     """As written, but quickly; pages are only written, for nobody closes the others."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")

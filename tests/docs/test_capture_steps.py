@@ -21,6 +21,7 @@ def steps(monkeypatch):
     return pytest.importorskip("capture_steps")
 
 
+@pytest.mark.capture
 def test_steps_by_hand_give_the_maps_of_a_capture_and_take_another_prior(steps):
     photo = load_photo(EXAMPLES / "photos" / "leather.dng", long_side=DETAIL)
     material, maps = steps.capture(photo)

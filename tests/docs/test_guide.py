@@ -37,6 +37,7 @@ def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("captured") / "out"
 
 
+@pytest.mark.capture
 @pytest.mark.parametrize("page", QUICKEST)
 def test_the_lines_of_a_page_run_and_leave_what_they_name(
     page: str, tmp_path: Path, captured: Path
@@ -144,6 +145,7 @@ def test_cheap_commands_run(page, small, tmp_path, monkeypatch, capsys):
     assert ran > 0
 
 
+@pytest.mark.capture
 def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     """Everything is real but the tuning of the network."""
     from types import SimpleNamespace

@@ -381,6 +381,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / photo.stem
 
 
+@pytest.mark.capture
 def test_the_exemplar_is_written_beside_the_material(folder: Path) -> None:
     name = folder.name
     maps, document = read_mapset(folder / f"{name}_photo.json")
@@ -392,6 +393,7 @@ def test_the_exemplar_is_written_beside_the_material(folder: Path) -> None:
     assert find_mapsets(folder) == [folder / f"{name}.json"]
 
 
+@pytest.mark.capture
 def test_the_material_holds_its_exemplar(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
     assert set(material.generators) == {"example"}
@@ -400,6 +402,7 @@ def test_the_material_holds_its_exemplar(folder: Path) -> None:
         material.maps(48, 48, generator="decoder")
 
 
+@pytest.mark.capture
 def test_an_exemplar_is_blended_with_a_decoder(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
     drawn = a_material("drawn", across=512)
@@ -410,6 +413,7 @@ def test_an_exemplar_is_blended_with_a_decoder(folder: Path) -> None:
     assert blend(material, drawn, 0.0) is material
 
 
+@pytest.mark.capture
 def test_the_preview_shows_exemplar_and_photograph(folder: Path) -> None:
     with Image.open(folder / "preview.png") as sheet:
         whole = np.asarray(sheet).astype(int)
@@ -427,6 +431,7 @@ def test_the_preview_shows_exemplar_and_photograph(folder: Path) -> None:
     assert own_away < 0.5 * away
 
 
+@pytest.mark.capture
 def test_the_report_states_the_errors_of_the_exemplar(folder: Path) -> None:
     values = json.loads((folder / "report.json").read_text())["exemplar"]
     assert 0.0 <= values["error"] < 0.5
