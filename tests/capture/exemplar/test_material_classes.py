@@ -130,7 +130,7 @@ def test_one_class_is_not_taken_for_two(share: float) -> None:
 EVEN_GLOSS = torch.ones(HEIGHT, WIDTH)
 
 
-def test_texels_own_are_albedo_of_a_dielectric_and_f0_of_metal() -> None:
+def test_albedo_of_dielectrics_and_f0_of_metal_vary_by_texel() -> None:
     metal = patches()
     _, truth, _ = photograph(metal)
     levels = torch.tensor([[0.1] * 5, [-0.2] * 5])
@@ -175,7 +175,7 @@ def test_flat_and_even_texels_have_one_roughness() -> None:
     assert constrained.roughness.abs().max() < 1e-5
 
 
-def test_what_goes_with_metal_is_told_beside_a_drift() -> None:
+def test_metal_is_separated_from_a_drift() -> None:
     metal = patches()
     _, truth, _ = photograph(metal)
     score = metal_score(truth, doubtful(metal))
@@ -240,7 +240,7 @@ def fitted(target: RingTarget, uniform: Uniform) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("roughness", [0.2, 0.35, 0.6])
-def test_levels_are_found_under_relief(roughness: float) -> None:
+def test_mean_parameters_are_recovered_under_relief(roughness: float) -> None:
     albedo, f0, found = fitted(*glossy(roughness, 0.2))
     assert albedo == pytest.approx(0.2, rel=0.1)
     assert f0 == pytest.approx(0.04, rel=0.15)
@@ -287,7 +287,7 @@ def with_share(target: RingTarget, uniform: Uniform, share: float) -> RingTarget
     return replace(target, diffuse=rings)
 
 
-def test_its_linearisation_is_the_derivative_of_its_residuals() -> None:
+def test_the_linearisation_is_the_derivative_of_the_residuals() -> None:
     target, uniform = glossy(0.4, 0.3)
     fit = _RingFit(with_share(target, uniform, 0.5), ONE, PRIOR)
     theta = torch.tensor([0.1, -0.1, 0.05, 0.02, 0.2])
@@ -350,7 +350,7 @@ def test_metal_is_seen_in_its_own_colour() -> None:
     assert float((seen[:, :, 56:-4] / (METAL_GOLD / METAL_GOLD.mean()) - 1.0).abs().mean()) < 0.03
 
 
-def test_clipped_texels_say_nothing_of_colour() -> None:
+def test_clipped_texels_do_not_count_for_colour() -> None:
     _, _, linear, _ = half_gold()
     burnt = linear.clone()
     burnt[:, 30, 70] = 1e3
@@ -360,7 +360,7 @@ def test_clipped_texels_say_nothing_of_colour() -> None:
     assert torch.allclose(seen_colour(linear, ~whole), torch.ones(3, 64, 96))
 
 
-def test_what_is_no_metal_stays_grey_and_doubt_counts_as_none() -> None:
+def test_dielectrics_and_doubtful_metal_stay_grey() -> None:
     assert not has_metal(torch.full((1, 8, 8), -2.0))
     assert has_metal(torch.linspace(-6.0, 6.0, 64).reshape(1, 8, 8))
     colour = seen_colour(torch.rand(3, 8, 8), torch.ones(1, 8, 8, dtype=torch.bool))
@@ -437,7 +437,7 @@ def coloured(f0: tuple[float, float, float], metal: np.ndarray, level: float) ->
 
 @pytest.mark.parametrize("name", ["gold", "copper", "brass"])
 @pytest.mark.parametrize("level", [0.5, 0.8])
-def test_metal_is_as_bright_as_its_hue_says(name: str, level: float) -> None:
+def test_metal_is_as_bright_as_pure_metals_of_its_colour(name: str, level: float) -> None:
     metal = np.ones((32, 48), np.float32)
     piece = coloured(METAL_F0[name], metal, level)
     assert most_probable_scale(piece, metal) * level == pytest.approx(1.0, rel=0.15)
@@ -450,7 +450,7 @@ def test_a_few_glints_do_not_keep_metal_dark() -> None:
     assert most_probable_scale(piece, metal) * 0.5 == pytest.approx(1.0, rel=0.15)
 
 
-def test_metal_and_what_is_none_tell_the_flash_together() -> None:
+def test_metal_and_dielectric_determine_the_flash_together() -> None:
     metal = np.zeros((32, 48), np.float32)
     metal[:, 24:] = 1.0
     piece = coloured(METAL_F0["steel"], metal, 0.2)
@@ -460,17 +460,17 @@ def test_metal_and_what_is_none_tell_the_flash_together() -> None:
     )
 
 
-def test_a_metal_of_no_known_hue_is_as_bright_as_any() -> None:
+def test_a_metal_of_unknown_colour_has_the_prior_of_all() -> None:
     metal = np.ones((32, 48), np.float32)
     piece = coloured((0.05, 0.1, 0.8), metal, 1.0)
     assert 0.8 < most_probable_scale(piece, metal) < 2.5
 
 
-def test_what_is_usual_hardly_moves() -> None:
+def test_usual_materials_are_hardly_scaled() -> None:
     assert coarse_estimate(0.3, 0.04) == pytest.approx((0.3, 0.04), rel=0.1)
 
 
-def test_bright_paper_stays_within_the_light_there_is() -> None:
+def test_bright_paper_stays_below_an_albedo_of_one() -> None:
     piece = exemplar(0.7, 0.02, spread=0.1)
     bright = scaled(piece, most_probable_scale(piece, DIELECTRIC))
     assert np.quantile(bright.diffuse, 0.99) < 1.0
@@ -478,7 +478,7 @@ def test_bright_paper_stays_within_the_light_there_is() -> None:
 
 @pytest.mark.parametrize("albedo", [1e-6, 0.02, 0.9])
 @pytest.mark.parametrize("specular", [1e-6, 0.04, 0.95])
-def test_any_piece_has_a_finite_scale(albedo: float, specular: float) -> None:
+def test_every_exemplar_has_a_finite_scale(albedo: float, specular: float) -> None:
     factor = most_probable_scale(exemplar(albedo, specular), DIELECTRIC)
     assert math.isfinite(factor) and factor > 0.0
 

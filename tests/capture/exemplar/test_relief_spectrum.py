@@ -48,7 +48,7 @@ def _measured(slope: float, contrast: float, **kwargs: int):
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.3])
-def test_slopes_are_found_as_strong_as_they_are(slope: float) -> None:
+def test_slope_energies_are_measured_right(slope: float) -> None:
     found, true = _measured(slope, 0.03)
     whole = np.sqrt(np.square(true).sum())
     assert found.relief == pytest.approx(whole, rel=0.2)
@@ -78,7 +78,7 @@ def test_one_band_of_energy_stays_in_its_band() -> None:
 
 
 @pytest.mark.parametrize("least", [0.02, 0.2])
-def test_sparkles_that_clip_leave_strengths_as_they_are(least: float) -> None:
+def test_clipped_sparkles_leave_the_spectrum_unchanged(least: float) -> None:
     """Every window has lost texels, the brightest ones; a few more is no reason to tell nothing."""
     slopes = _slopes()
     shows = np.zeros((2, *slopes.shape), np.float32)
@@ -91,7 +91,7 @@ def test_sparkles_that_clip_leave_strengths_as_they_are(least: float) -> None:
     assert _along_x(found)[0] == pytest.approx(whole, rel=0.2)
 
 
-def test_what_another_response_tells_differently_is_doubted() -> None:
+def test_disagreeing_sensitivities_add_to_the_deviation() -> None:
     shot = photographed(0.2, 0.1)
     valid = torch.ones(shot.linear.shape[-2:], dtype=torch.bool)
     inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points)
@@ -105,7 +105,7 @@ def test_what_another_response_tells_differently_is_doubted() -> None:
     assert apart[strongest] > 1.5 * alone[strongest]
 
 
-def test_streaks_that_are_stronger_at_the_rim_are_no_sure_relief() -> None:
+def test_streaks_stronger_at_the_rim_are_within_the_deviation() -> None:
     """Albedo of one direction whose contrast grows by a tenth: what is told is within its doubt.
 
     Bands that the streaks have no waves in are slopes of 1e-4 and less, and their standard errors
@@ -119,7 +119,7 @@ def test_streaks_that_are_stronger_at_the_rim_are_no_sure_relief() -> None:
     assert (np.square(found.slope).sum(1) < 2.5 * found.deviation + 1e-3**2).all()
 
 
-def test_albedo_that_mirrored_light_dilutes_is_no_relief() -> None:
+def test_albedo_diluted_by_specular_light_is_no_relief() -> None:
     """Its drawing is fainter around the flash's foot in all directions; slopes' along the light."""
     rows, columns = (np.linspace(-1.0, 1.0, side) for side in (384, 640))
     shows = np.stack(np.broadcast_arrays(columns[None, :], 0.6 * rows[:, None])).astype(np.float32)
@@ -142,7 +142,7 @@ def test_albedo_that_mirrored_light_dilutes_is_no_relief() -> None:
     assert both.relief == pytest.approx(0.1, rel=0.35)
 
 
-def test_too_little_to_look_at_says_nothing() -> None:
+def test_too_few_windows_give_no_spectrum() -> None:
     nothing = np.zeros((256, 256), np.float32)
     shows = np.zeros((2, 256, 256), np.float32)
     assert measure_relief_spectrum(nothing, shows, np.zeros((256, 256), bool)) is None
@@ -161,7 +161,7 @@ def _along_x(found) -> tuple[float, float]:
     return tuple(float(np.sqrt(np.square(a[:, 0]).sum())) for a in (found.slope, found.albedo))
 
 
-def test_albedo_that_goes_with_the_slope_is_told_from_it() -> None:
+def test_albedo_correlated_with_slope_is_separated() -> None:
     """Cracks that are dark on one side: E(s) = A + 2 C s + S s^2, and light that slants one way."""
     slopes = _slopes()
     shows = np.zeros((2, *slopes.shape), np.float32)
@@ -174,7 +174,7 @@ def test_albedo_that_goes_with_the_slope_is_told_from_it() -> None:
     assert albedo == pytest.approx(0.5 * alone, rel=0.4)
 
 
-def test_the_sensors_noise_is_no_albedo() -> None:
+def test_sensor_noise_is_not_albedo() -> None:
     noise = np.random.default_rng(1).standard_normal((384, 640)).astype(np.float32)
     shows, seen = np.zeros((2, *noise.shape), np.float32), np.ones(noise.shape, bool)
     known = measure_relief_spectrum(0.1 * noise, shows, seen, noise=0.1)
@@ -201,7 +201,7 @@ def _inspected(path: Path, linear: np.ndarray, *options: str) -> str:
     return said.stdout
 
 
-def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
+def test_relief_is_measured_from_the_photograph_alone() -> None:
     linear, true = _shot(768, 576)
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
     coarse = fit_coarse(photo)
@@ -210,7 +210,7 @@ def test_relief_is_told_without_knowing_anything_but_the_photograph() -> None:
     assert result.relief == pytest.approx(true, rel=0.1)
 
 
-def test_inspect_tells_it_of_a_file(tmp_path: Path) -> None:
+def test_inspect_reports_the_relief_spectrum(tmp_path: Path) -> None:
     linear, true = _shot(768, 576)
     said = _inspected(tmp_path / "bumps.png", linear, "--json")
     (document,) = json.loads(said)["photographs"]
@@ -218,7 +218,7 @@ def test_inspect_tells_it_of_a_file(tmp_path: Path) -> None:
     assert 0.5 < document["relief_spectrum"]["relief"] / true < 1.2
 
 
-def test_of_a_small_picture_it_is_not_told(tmp_path: Path) -> None:
+def test_a_small_picture_has_no_relief_spectrum(tmp_path: Path) -> None:
     said = _inspected(tmp_path / "bumps.png", _shot(160, 120)[0])
     assert "hot_spot" in said and "relief" not in said
 
@@ -278,7 +278,7 @@ def test_a_wave_is_in_its_own_band(band: int) -> None:
     assert energies[band] > 0.9 * sum(energies)
 
 
-def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
+def test_every_band_is_scaled_to_its_measured_energy() -> None:
     """Also of the finest waves, of which networks draw a tenth."""
     height, true = _grainy()
     shrunk = [
@@ -290,7 +290,7 @@ def test_relief_gets_the_strength_that_is_told_in_every_band() -> None:
     assert np.allclose(np.sqrt(np.square(found).sum(1)), np.sqrt(np.square(true).sum(1)), rtol=0.1)
 
 
-def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
+def test_unmeasured_bands_follow_the_measured_ones() -> None:
     height, true = _grainy()
     result = _estimate(true)
     result.slope[:2], result.deviation[:2] = 0.0, 1.0
@@ -299,13 +299,13 @@ def test_what_is_told_of_some_bands_holds_of_those_nothing_is_told_of() -> None:
     assert (ratio > 0.6).all() and (ratio < 1.3).all()
 
 
-def test_even_relief_is_left_as_it_is() -> None:
+def test_even_relief_is_unchanged() -> None:
     before, after = (np.stack(slopes(h)) for h in (_bumps(), _even()))
     correlation = (before * after).sum() / np.sqrt(np.square(before).sum() * np.square(after).sum())
     assert correlation > 0.95
 
 
-def test_a_bulls_eye_is_evened_out() -> None:
+def test_a_bulls_eye_is_equalised() -> None:
     """Relief that fades in the middle, and there shows one slope only, comes out as elsewhere."""
     height = _bumps()
     y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
@@ -350,7 +350,7 @@ def _waves(fx: float, fy: float, size: int = 256) -> np.ndarray:
     return np.sin(2.0 * np.pi * (fx * x + fy * y)).astype(np.float32)
 
 
-def test_waves_are_as_strong_as_where_they_are_shown_best() -> None:
+def test_waves_are_as_strong_as_at_the_best_lit_places() -> None:
     """Light slants up to the right in the right half, and up to the left in the left one."""
     right = np.repeat(np.array([0.0, 1.0], np.float32), 128)[None, :] * np.ones(
         (256, 1), np.float32
@@ -367,7 +367,7 @@ def test_waves_are_as_strong_as_where_they_are_shown_best() -> None:
 
 
 @pytest.mark.parametrize("way", [(0.04, 0.04), (0.04, -0.04)])
-def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
+def test_waves_of_any_direction_are_unchanged(way) -> None:
     """Eigenvectors of their slopes' covariance turn as the waves do."""
     crossing = (1.1 * way[0], -0.9 * way[1])  # in the same band
     height = _waves(*way) + 0.2 * _waves(*crossing)
@@ -380,9 +380,7 @@ def test_waves_of_any_direction_are_left_as_they_are(way) -> None:
     ("result", "deviation", "least", "most"),
     [(2.0, 0.05, 1.9, 2.1), (0.5, 0.05, 0.47, 0.53), (2.0, 100.0, 0.95, 1.3), (2.0, 0.9, 1.3, 2.1)],
 )
-def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_sure(
-    result, deviation, least, most
-) -> None:
+def test_relief_follows_the_measurement_by_its_deviation(result, deviation, least, most) -> None:
     height, found = _grainy()
     own = _strength(_even(grainy=True), (slice(None), slice(None)))[0]
     spectrum = _estimate(result * found, deviation)
@@ -390,7 +388,7 @@ def test_relief_becomes_as_strong_as_the_photograph_says_so_far_as_it_is_sure(
     assert least < now / own < most
 
 
-def test_what_the_photograph_tells_to_be_flat_becomes_flat() -> None:
+def test_relief_measured_as_flat_becomes_flat() -> None:
     height = _bumps()
     drawn = slope_spectrum(height)
     nothing = replace(_estimate(drawn, 0.02), slope=np.zeros_like(drawn))

@@ -58,7 +58,7 @@ def _registration(lit, **changes):
     return Registration(FlashSetup(fov=PHONE.fov), (*views, unlit), ())
 
 
-def test_what_the_room_added_is_taken_off(lit):
+def test_ambient_light_is_subtracted(lit):
     _, bright, dark, _ = lit
     cleaned = without_ambient(_registration(lit).views)
     for view, shot, true in zip(cleaned, bright, dark, strict=False):
@@ -105,12 +105,12 @@ def test_a_photograph_of_another_surface_is_refused_in_a_sentence(lit):
         capture_photo(plaster, settings, others=others)
 
 
-def test_exposures_that_are_not_known_change_nothing(lit):
+def test_unknown_exposures_subtract_nothing(lit):
     registration = _registration(lit, exposure=None)
     assert without_ambient(registration.views) == registration.views
 
 
-def test_exposures_that_are_told_wrongly_leave_light(lit):
+def test_wrong_exposures_leave_most_of_the_light(lit):
     registration = _registration(lit, exposure=lit[-1][0].exposure / 100.0)
     cleaned = without_ambient(registration.views)
     for view, before in zip(cleaned[:-1], registration.views[:-1], strict=True):
@@ -118,7 +118,7 @@ def test_exposures_that_are_told_wrongly_leave_light(lit):
         assert view.photo.pixels.mean() > 0.2 * before.photo.pixels.mean()
 
 
-def test_white_balance_goes_into_what_is_taken_off(lit):
+def test_the_subtracted_light_is_white_balanced(lit):
     plain = without_ambient(_registration(lit).views)
     lifted = without_ambient(_registration(lit, balance=(2.0, 1.0, 1.0)).views)
     added = [
@@ -128,7 +128,7 @@ def test_white_balance_goes_into_what_is_taken_off(lit):
     np.testing.assert_allclose(ratio, [0.5, 1.0, 1.0], rtol=0.02)
 
 
-def test_what_was_clipped_stays_so(lit):
+def test_clipped_texels_stay_clipped(lit):
     registration = _registration(lit)
     first = registration.views[0]
     full = np.zeros(first.photo.clipped.shape, bool)
@@ -139,7 +139,7 @@ def test_what_was_clipped_stays_so(lit):
     assert (cleaned[0].photo.pixels[full] == 1.0).all()
 
 
-def test_light_that_is_slow_over_the_piece_is_taken_off():
+def test_slow_ambient_light_is_removed():
     maps = grainy(0, SIZE, albedo=0.4)
     even = (maps.diffuse + maps.specular).log()
     uneven = even + torch.linspace(-0.5, 0.5, SIZE[1])
@@ -148,7 +148,7 @@ def test_light_that_is_slow_over_the_piece_is_taken_off():
     assert (found - even)[inner].abs().mean() < 0.02 < 0.2 * (uneven - even)[inner].abs().mean()
 
 
-def test_an_even_sky_lights_slopes_less_and_a_window_its_side():
+def test_an_even_sky_darkens_slopes_and_a_window_lights_its_side():
     normal = normals_from_slopes(torch.tensor([[[0.0, 1.0, 1.0]]]), torch.zeros(1, 1, 3))
     sky = AmbientLight().onto(normal).irradiance[0, 0]
     np.testing.assert_allclose(sky, 0.5 + 0.5 * normal[2, 0], rtol=1e-6)
@@ -171,7 +171,7 @@ def test_a_windows_side_is_found_by_the_contrast_of_the_ratio():
     np.testing.assert_allclose(found.ambient, (-0.3, 0.2, 0.5), atol=0.12)
 
 
-def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
+def test_relief_is_scaled_to_the_ratio_of_flash_and_ambient():
     maps = grainy(4, LARGE, albedo=0.4)
     flash, room, light = _pair(maps, (-0.3, 0.2, 0.5))
     light = with_ambient_gradient([flash, room], parameters_of(maps), light)
@@ -182,7 +182,7 @@ def test_relief_read_too_weak_becomes_as_steep_as_the_ratio_of_both_says():
     np.testing.assert_allclose(np.sqrt(seen.sum() / wanted.sum()), 1.0, atol=0.15)
 
 
-def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
+def test_ambient_light_improves_albedo_and_slopes():
     maps = grainy(1, SIZE, albedo=0.4)
     flash, room, light = _pair(maps, (-0.3, -0.1, 0.5))
     log_error = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)
@@ -199,7 +199,7 @@ def test_the_rooms_light_tells_albedo_and_slopes_that_one_flash_does_not():
     assert astray[1] < 0.8 * astray[0]
 
 
-def test_one_with_flash_and_one_without_are_a_capture(lit, tmp_path):
+def test_one_photograph_with_flash_and_one_without_make_a_capture(lit, tmp_path):
     _, bright, _, (room, _) = lit
     paths = [tmp_path / "room.dng", tmp_path / "leather.dng"]
     for path, shot in zip(paths, (room, bright[0]), strict=True):
@@ -232,7 +232,7 @@ def test_a_blurred_photograph_is_named(held):
     assert "smeared_plaster_2 does not belong" in coverage(found)["belong"].says
 
 
-def test_a_blurred_first_photograph_gives_no_frame(held):
+def test_a_blurred_first_photograph_does_not_define_the_frame(held):
     _, photos = held
     found = register_in_any_order([_smeared(photos[0]), photos[1], photos[2]])
     assert [view.photo.name for view in found.views] == ["plaster_1", "plaster_2"]

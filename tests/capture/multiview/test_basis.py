@@ -55,7 +55,7 @@ def test_gold_beside_paint_has_its_colour_and_roughness(gold_and_paint) -> None:
     assert float(log_f0[~gold].mean().exp()) == pytest.approx(0.04, rel=0.3)
 
 
-def test_shares_are_those_of_the_materials(gold_and_paint) -> None:
+def test_shares_of_the_basis_are_those_of_the_materials(gold_and_paint) -> None:
     basis, _, gold = gold_and_paint
     right = torch.where(gold, basis.metal_share[0], 1.0 - basis.metal_share[0])
     assert float(right.mean()) > 0.95
@@ -67,7 +67,7 @@ def test_one_dielectric_is_one_material() -> None:
     assert fitted(replace(maps, specular=maps.specular[:1])) is None
 
 
-def test_two_photographs_or_ambient_light_say_nothing_of_materials() -> None:
+def test_two_photographs_or_ambient_light_give_no_basis() -> None:
     maps, _ = patched(metal=True)
     views, light = seen([maps] * 3)
     prediction = Estimate(maps, LOG_ERROR.expand(4, *SIZE))

@@ -38,7 +38,7 @@ def test_cameras_are_found_and_a_foreign_photograph_is_named(held, looked):
         assert apart < 0.03 * np.linalg.norm(camera.place)
 
 
-def test_a_set_is_told_what_it_lacks(looked):
+def test_missing_sides_of_light_are_named(looked):
     values = coverage(looked)
     assert values["belong"].value == {"used": 3, "left_out": ["leather_9"]}
     assert "leather_9 does not belong" in values["belong"].says
@@ -60,7 +60,7 @@ def test_a_steep_camera_is_named(looked):
     assert places.rating is Rating.DOUBTFUL
 
 
-def test_how_far_cameras_are_known_is_told(looked):
+def test_deviations_of_cameras_are_findings(looked):
     found = coverage(looked)["cameras"]
     assert set(found.value) == {"plaster_1", "plaster_2"} and min(found.value.values()) > 0.0
     sure, unsure = (
@@ -73,7 +73,7 @@ def test_how_far_cameras_are_known_is_told(looked):
     assert unsure["cameras"].rating is Rating.NOT_JUDGED and "0.40 %" in unsure["cameras"].says
 
 
-def test_a_capture_says_where_cameras_are_doubted(looked):
+def test_a_report_warns_of_uncertain_cameras(looked):
     def result(deviation):
         views = tuple(
             replace(v, position_deviation=deviation if n else 0.0)
@@ -85,7 +85,7 @@ def test_a_capture_says_where_cameras_are_doubted(looked):
     assert "0.3 % of their distance (plaster_1, plaster_2)" in result(0.003)
 
 
-def test_a_capture_says_that_the_first_photograph_is_kept(looked):
+def test_a_report_states_that_the_first_photograph_is_kept(looked):
     own = Mosaic.own((64, 48))
     result = SetReport(
         looked.views, (0.1,) * 3, (), (), (0.0,) * 4, (0.0,) * 3, own, None, (0.2, 0.1)
@@ -94,21 +94,21 @@ def test_a_capture_says_that_the_first_photograph_is_kept(looked):
     assert result.document()["first_alone"]
 
 
-def test_directions_are_those_of_the_upright_picture(looked):
+def test_directions_are_of_the_upright_picture(looked):
     views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
     values = coverage(replace(looked, views=views))
     # Turned back clockwise what lay at the right lies at the bottom, and the top at the right.
     assert values["lit_from"].says == "No photograph lights the sample from the left or top."
 
 
-def test_two_from_the_same_place_are_named(looked):
+def test_two_photographs_from_one_place_are_named(looked):
     again = replace(looked.views[1], photo=replace(looked.views[1].photo, name="again"))
     values = coverage(replace(looked, views=(*looked.views, again)))
     assert values["baseline"].says == "plaster_1 and again were taken from nearly the same place."
     assert values["baseline"].value < CHECKS["baseline"].limits[0]
 
 
-def test_one_alone_is_poor(looked):
+def test_one_photograph_alone_has_failed(looked):
     values = coverage(replace(looked, views=looked.views[:1]))
     assert values.rating is Rating.FAILED
     assert values["belong"].says.startswith(
@@ -121,14 +121,14 @@ def test_one_photograph_is_no_set(tmp_path):
         coverage_of_files([tmp_path / "a.jpg"])
 
 
-def test_names_that_count_are_a_series():
+def test_numbered_names_are_a_series():
     assert are_a_series(["oak_1", "oak_2", "Oak_3"]) and are_a_series(["oak 00", "oak 01"])
     for stems in (["oak_1"], ["oak_1", "elm_2"], ["IMG_0001", "IMG_0002"], ["oak_2", "oak_3"],
                   ["oak_1", "oak_3"], ["oak1", "oak2"], ["2024_1", "2024_2"], []):  # fmt: skip
         assert not are_a_series(stems)
 
 
-def test_inspect_tells_of_sets(tmp_path, capsys):
+def test_inspect_checks_sets(tmp_path, capsys):
     phone, hand = PhoneCamera(width=320, height=240, supersampling=1), Hand()
     cameras = hold(phone, hand, 2, 5)
     paths = []

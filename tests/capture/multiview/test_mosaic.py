@@ -66,7 +66,7 @@ def _camera(x=0.0, y=0.0, tilt=(0.0, 0.0)):
     return replace(camera, place=camera.place + np.array([x, y, 0.0]))
 
 
-def test_a_larger_piece_has_the_first_photographs_own_texels():
+def test_a_mosaic_keeps_the_texel_size_of_the_first_photograph():
     margins = Margins(left=3, right=40, top=5, bottom=0)
     width, height = margins.around(SIZE)
     assert (width, height) == (171, 101)
@@ -93,7 +93,7 @@ def test_two_photographs_side_by_side_reach_half_as_far_again():
     assert not mosaic_of([_view(_camera()), _view(_camera(x=1.0), flash=False)], SIZE).margins.any
 
 
-def test_what_nobody_saw_between_photographs_is_not_known():
+def test_texels_between_photographs_are_unknown():
     views = [_view(_camera()), _view(_camera(x=1.2)), _view(_camera(y=0.9))]
     mosaic = mosaic_of(views, SIZE)
     known = seen_by_any(views, mosaic)
@@ -102,7 +102,7 @@ def test_what_nobody_saw_between_photographs_is_not_known():
     assert float(known.float().mean()) == pytest.approx(mosaic.known, abs=0.02)
 
 
-def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
+def test_a_tilted_camera_extends_the_mosaic_as_far_as_it_sees_well():
     lean = math.radians(50.0)
     camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=(0.0, lean)))
     mosaic = mosaic_of([_view(_camera()), _view(camera)], SIZE)
@@ -118,7 +118,7 @@ def test_a_leaning_camera_reaches_as_far_as_it_sees_well():
         assert side.mean() > 0.9 * LEAST
 
 
-def test_a_piece_grows_no_larger_than_memory_allows_and_says_so(monkeypatch):
+def test_a_mosaic_is_limited_by_memory_with_a_note(monkeypatch):
     far = [_view(_camera())] + [_view(_camera(x=1.5 * n, y=1.1 * n)) for n in range(1, 5)]
     mosaic = mosaic_of(far, SIZE)
     assert mosaic.limited and mosaic.times <= UNION_TIMES
@@ -135,7 +135,7 @@ def _drawn(size, seed=0):
     return MapSet(*maps, 0.002 * rows[5:], 2.0 / size[0])
 
 
-def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
+def test_the_first_prediction_is_extended_smoothly_with_its_scatter_as_error():
     maps, log_error = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
     read = Estimate(maps, log_error)
     assert spread_over(read, Margins()) is read
@@ -155,7 +155,7 @@ def test_the_first_reading_goes_on_smoothly_and_is_doubted_by_its_own_scatter():
     assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], log_error)
 
 
-def test_beyond_the_first_photograph_the_others_reading_holds():
+def test_beyond_the_first_photograph_other_predictions_hold():
     margins = Margins(right=64)
     true = _drawn(margins.around(SIZE), 3)
     smooth = torch.nn.functional.avg_pool2d(true.stacked()[None], 5, 1, 2)[0]
@@ -174,7 +174,7 @@ def test_beyond_the_first_photograph_the_others_reading_holds():
     assert (found.log_error < -2.5).all()
 
 
-def test_metal_beyond_the_first_photograph_has_the_hue_that_others_show():
+def test_metal_beyond_the_first_photograph_has_the_colour_of_other_photographs():
     margins, gold = Margins(right=64), torch.tensor([1.3, 1.0, 0.7])[:, None, None]
     whole = margins.around(SIZE)[::-1]
     maps = _drawn(whole[::-1])
@@ -197,7 +197,7 @@ def captured():
     return cameras, capture_photo(photos[0], settings, others=photos[1:])
 
 
-def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
+def test_two_photographs_that_share_a_half_make_one_mosaic(captured):
     cameras, result = captured
     mosaic = result.estimate.several.mosaic
     assert 1.35 < mosaic.times < 1.75
@@ -224,7 +224,7 @@ def test_two_photographs_that_share_a_half_are_one_larger_piece(captured):
     assert (off - off.median()).abs().mean() < 0.9 * (log - log.median()).abs().mean()
 
 
-def test_a_union_is_written_and_told(captured, tmp_path):
+def test_a_union_is_written_and_reported(captured, tmp_path):
     _, result = captured
     result = replace(result, settings=replace(result.settings, aligned=True, preset="draft"))
     write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
@@ -244,12 +244,12 @@ def test_a_union_is_written_and_told(captured, tmp_path):
     assert open_photographed(tmp_path / "leather/leather.matcap").size is None
 
 
-def test_unsaid_where_it_is_not_asked_for():
+def test_a_union_is_stored_only_where_given():
     assert "union" not in CaptureSettings().named()
     assert CaptureSettings.of(CaptureSettings(union=True).named()).union
 
 
-def test_one_photograph_is_no_union(tmp_path, capsys):
+def test_a_union_of_one_photograph_is_refused(tmp_path, capsys):
     photo = tmp_path / "a.jpg"
     photo.write_bytes(b"")
     for more in ([], ["--together"]):
@@ -303,7 +303,7 @@ def _waves(points, texel_size):
     )
 
 
-def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
+def test_a_camera_on_its_own_plane_projects_the_same_points(cameras):
     own = OwnPlane.of(cameras[1], replace(_light(), centre=(0.1, 0.2)), 1)
     points = grid_points(16, 12)
     here = np.concatenate([own.coordinates(points), np.zeros((1, 12, 16))])
@@ -319,7 +319,7 @@ def test_a_camera_on_its_own_plane_stands_where_it_does(cameras):
     np.testing.assert_allclose(own.setup.intensity[0] / away**2, irradiance, rtol=1e-6)
 
 
-def test_a_reading_is_brought_over_the_first(cameras, brought):
+def test_a_prediction_is_resampled_to_the_first_photograph(cameras, brought):
     own, over = brought
     # The other plane's texels, as points of the first's.
     across, down = 256, 192
@@ -338,7 +338,7 @@ def test_a_reading_is_brought_over_the_first(cameras, brought):
     assert float((parameters_of(read.maps) - true)[known].abs().max()) < 0.03
 
 
-def test_no_border_of_a_reading_is_seen(brought):
+def test_borders_of_a_prediction_leave_no_step(brought):
     theirs = brought[1](_waves(np.zeros((2, 192, 256)), 2.0 / 256))
     otherwise = _waves(np.zeros((2, *VIEW_PREDICTIONS_SIZE)), 2.0 / VIEW_PREDICTIONS_SIZE[1])
     otherwise = replace(otherwise, specular=math.e * otherwise.specular)
@@ -355,7 +355,7 @@ def _read(maps, off, generator, log_error):
     return Estimate(noisy, torch.full((4, *VIEW_PREDICTIONS_SIZE), log_error))
 
 
-def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
+def test_fused_predictions_are_nearer_in_any_order_and_weighted_by_error():
     maps = _waves(
         grid_points(VIEW_PREDICTIONS_SIZE[1], VIEW_PREDICTIONS_SIZE[0]),
         2.0 / VIEW_PREDICTIONS_SIZE[1],
@@ -378,7 +378,7 @@ def test_joined_readings_are_nearer_in_any_order_and_the_doubtful_count_less():
     assert math.log(1.0 / math.sqrt(3.0)) < surer < -0.1
 
 
-def test_alone_the_first_stays_as_it_was_read_and_others_leave_it_its_fine_waves():
+def test_other_predictions_leave_the_fine_waves_of_the_first():
     rng = torch.Generator().manual_seed(5)
     fine = tuple(2 * side for side in VIEW_PREDICTIONS_SIZE)
     maps = _waves(grid_points(fine[1], fine[0]), 2.0 / fine[1])

@@ -46,7 +46,7 @@ from matcap.flash.light import FlashLight
 # Texels that cannot be told in single precision answer nothing, and end nothing.
 
 
-def test_sound_texels_are_solved() -> None:
+def test_well_conditioned_texels_are_solved() -> None:
     draw = torch.randn(5, PARAMETERS, 12, generator=torch.Generator().manual_seed(0))
     within = draw @ draw.mT
     sides = torch.ones(5, PARAMETERS, 2)
@@ -54,7 +54,7 @@ def test_sound_texels_are_solved() -> None:
     assert torch.allclose(within @ found, sides, atol=1e-2)
 
 
-def test_texels_told_many_times_over_answer_finitely_or_nothing() -> None:
+def test_ill_conditioned_texels_give_finite_or_zero_solutions() -> None:
     # One direction told by 1e9, all others by next to nothing: rounding makes it indefinite.
     steep = torch.linspace(0.2, 1.0, PARAMETERS)
     within = 1e9 * steep[:, None] * steep + 1e-3 * torch.eye(PARAMETERS)
@@ -67,7 +67,7 @@ def test_texels_told_many_times_over_answer_finitely_or_nothing() -> None:
     assert not found[..., 2].any()
 
 
-def test_systems_side_by_side_are_solved_as_one_after_the_other() -> None:
+def test_batched_systems_equal_single_ones() -> None:
     draw = torch.randn(9, PARAMETERS, 12, generator=torch.Generator().manual_seed(1))
     within, right = draw @ draw.mT, draw[..., 0]
     within[4] *= -1.0
@@ -142,7 +142,7 @@ def _energy(found):
     return float(np.square(found).mean())
 
 
-def test_noise_goes_and_strength_stays():
+def test_denoising_keeps_the_energy():
     true = _waves(0, 6.0)
     result, changes, _ = _estimate(true, 2.0)
     found = denoised(result, np.zeros_like(true), changes)
@@ -152,7 +152,7 @@ def test_noise_goes_and_strength_stays():
 
 
 @pytest.mark.parametrize("strength", [0.3, 1.0, 3.0])
-def test_what_was_read_is_calibrated_whatever_its_strength(strength):
+def test_the_prediction_is_calibrated_for_any_strength(strength):
     true = _waves(1, 3.0)
     result, changes, _ = _estimate(true, 0.5)
     found = denoised(result, strength * true, changes)
@@ -165,21 +165,21 @@ def test_what_was_read_is_calibrated_whatever_its_strength(strength):
     )
 
 
-def test_what_is_flat_stays_flat():
+def test_flat_relief_stays_flat():
     result, changes, _ = _estimate(np.zeros(SIZE, np.float32), 0.5)
     nothing = np.zeros(SIZE, np.float32)
     assert _energy(denoised(result, nothing, changes)) < 0.1 * _energy(result)
     assert prediction_error(result, nothing, changes)[0] < 0.1 * _energy(result)
 
 
-def test_noise_of_the_first_photograph_is_not_taken_for_what_was_read():
+def test_noise_of_the_first_photograph_is_no_prediction():
     true = _waves(2, 6.0)
     result, changes, first = _estimate(true, 1.0)
     found = denoised(result, first, changes)
     assert _energy(found - true) < 0.3 * _energy(result - true)
 
 
-def test_what_noise_hides_is_drawn_as_it_was_read():
+def test_relief_hidden_by_noise_is_that_of_the_prediction():
     true, fine = _waves(3, 6.0), 0.3 * _waves(4, 0.0)
     result, changes, _ = _estimate(true, 2.0)
     plain, drawn = (denoised(result, true + fine, changes, keep_energy=d) for d in (False, True))
@@ -187,7 +187,7 @@ def test_what_noise_hides_is_drawn_as_it_was_read():
     assert _energy(drawn) < 1.0 + 2.0 * _energy(fine)
 
 
-def test_energies_of_two_halves_have_no_noise_in_them():
+def test_cross_energies_of_two_halves_are_free_of_noise():
     """Octave by octave, though noise of each is as strong as the relief."""
     true, texel = 0.01 * _waves(20, 3.0), 2.0 / SIZE[1]
     halves = [true + 0.01 * _waves(seed, 3.0) for seed in (21, 22)]
@@ -197,7 +197,7 @@ def test_energies_of_two_halves_have_no_noise_in_them():
     np.testing.assert_allclose(np.array(found)[strong], np.array(exact)[strong], rtol=0.25)
 
 
-def test_relief_gets_the_energy_that_halves_agree_on():
+def test_relief_is_scaled_to_the_cross_energy():
     true, texel = _waves(23, 3.0), 2.0 / SIZE[1]
     shrunk = with_energies(0.8 * true, texel, cross_energies(true, true, texel))
     assert _energy(texel_slopes(shrunk)) == pytest.approx(_energy(texel_slopes(true)), rel=0.05)
@@ -230,11 +230,11 @@ def _off(height, slopes):
     return float(left.square().mean().sqrt() / slopes.square().mean().sqrt())
 
 
-def test_slopes_of_a_surface_come_back(slopes):
+def test_slopes_of_a_surface_are_recovered(slopes):
     assert _off(surface_of(slopes, TEXEL, _precision(100.0, 100.0)), slopes) < 0.01
 
 
-def test_what_is_told_along_one_way_tells_the_other(slopes, monkeypatch):
+def test_slopes_measured_along_one_direction_determine_the_other(slopes, monkeypatch):
     """As two photographs do: slopes to a side are measured, those across it are noise."""
     generator = torch.Generator().manual_seed(1)
     noise = torch.tensor([0.01, 1.0])[:, None, None] * slopes.std()
@@ -245,7 +245,7 @@ def test_what_is_told_along_one_way_tells_the_other(slopes, monkeypatch):
     assert _off(found, slopes) < 0.3 * _off(integrated(seen, TEXEL), slopes)
 
 
-def test_what_nobody_knows_of_a_place_moves_nothing(slopes):
+def test_unknown_slopes_do_not_move_their_surroundings(slopes):
     wrong = slopes.clone()
     wrong[:, 30:45, 40:60] = 3.0
     known = _precision(100.0, 100.0).clone()
@@ -306,14 +306,14 @@ def moved():
     return by
 
 
-def test_threads_of_five_texels_are_moved_as_far_as_they_lie_astray_and_no_farther(moved):
+def test_threads_of_five_texels_are_moved_by_what_they_are_off(moved):
     """Twice as far, and photographs go to and fro for ever."""
     texels = moved(())
     assert 0.3 < texels[3] < 0.5
     assert max(abs(texels[k]) for k in (1, 2, 4)) < 0.15
 
 
-def test_a_photograph_that_is_held_stays_and_others_move(moved):
+def test_a_held_photograph_stays_and_others_move(moved):
     texels = moved((0, 2, 3))
     assert abs(texels[3]) < 1e-6 and abs(texels[2]) < 1e-6
     assert abs(texels[1]) > 0.05
@@ -338,7 +338,7 @@ def laid(held):
     return over
 
 
-def test_photographs_whose_features_are_sure_stay_and_relief_is_known(laid):
+def test_precisely_registered_photographs_stay_and_relief_is_recovered(laid):
     found, by, grids = laid(1e-4)
     assert grids == 2  # the finest tells nothing more of relief
     for before, after in zip(found.views, by.views, strict=True):
@@ -347,9 +347,7 @@ def test_photographs_whose_features_are_sure_stay_and_relief_is_known(laid):
     assert np.ptp(by.relief) > 0.0
 
 
-def test_photographs_whose_features_are_not_sure_are_moved_until_they_hardly_move(
-    laid, monkeypatch
-):
+def test_imprecisely_registered_photographs_are_moved_until_they_settle(laid, monkeypatch):
     for name, value in (("LEVELS", (0.5, 1.0)), ("ROUNDS", (3, 3)), ("STEPS", (1, 0))):
         monkeypatch.setattr(align, f"_{name}", value)
     monkeypatch.setattr(align, "_SETTLED", 0.0)

@@ -58,7 +58,7 @@ def state_of(tuned):
     return tuned.decoder.state_dict()
 
 
-def test_the_error_falls_on_new_noise():
+def test_the_error_falls_on_unseen_noise():
     before = error_at_the_start()
     tuned = tune(steps=80)
     assert error_of(tuned.decoder, list(tuned.moments)) < 0.8 * before
@@ -110,7 +110,7 @@ def test_the_same_seed_is_the_same_bits_and_another_is_not():
     assert any(not torch.equal(v, state_of(other)[n]) for n, v in state_of(first).items())
 
 
-def test_ctrl_c_ends_it_with_what_it_has():
+def test_ctrl_c_returns_the_best_so_far():
     def interrupt(share, error, seconds):
         if share >= 0.5:
             raise KeyboardInterrupt
@@ -251,7 +251,7 @@ def interrupt(*_):
     [(0, lambda *_: None), (3, lambda *_: None), (20, interrupt)],
     ids=["no steps", "frozen end", "interrupted before it"],
 )
-def test_what_is_frozen_is_frozen_at_the_code(frozen, steps, report):
+def test_the_frozen_decoder_is_that_of_the_code(frozen, steps, report):
     code = torch.linspace(-1.0, 1.0, len(TUNING_CODE_function))
     decoder = start()
     with torch.no_grad():  # an untrained decoder hardly heeds its code
@@ -290,7 +290,7 @@ def without_cells(field):
     return RandomField(field.noise, tuple(w[:, :WAVE_CHANNELS] for w in field.waves))
 
 
-def test_where_cells_say_nothing_it_is_the_decoder_that_it_was():
+def test_zero_weights_of_cells_leave_the_decoder_unchanged():
     decoder = Decoder(CONFIG)
     wider = reading_cells(decoder, 0)
     silent = RandomField(
@@ -306,7 +306,7 @@ def test_where_cells_say_nothing_it_is_the_decoder_that_it_was():
         assert not torch.allclose(wider(a_field(), CODE), expected, atol=0.05)
 
 
-def test_the_weights_for_cells_are_drawn_by_the_seed_and_learn():
+def test_weights_of_cells_are_drawn_by_the_seed_and_trained():
     decoder = Decoder(CONFIG)
     first, again, other = (reading_cells(decoder, seed).state_dict() for seed in (1, 1, 2))
     name = "up.0.0.convolution.weight"
@@ -318,7 +318,7 @@ def test_the_weights_for_cells_are_drawn_by_the_seed_and_learn():
     assert float(slope.abs().max()) > 0.0
 
 
-def test_the_given_decoders_are_left_as_they_are():
+def test_the_given_decoders_are_unchanged():
     decoder, other = Decoder(CONFIG), reading_cells(Decoder(CONFIG), 3)
     before = {name: value.clone() for name, value in other.state_dict().items()}
     mixed = with_cells(decoder, other)

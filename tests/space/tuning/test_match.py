@@ -71,14 +71,14 @@ def found(material, photo, valid=VALID, noise=None):
     return correction(material, plane_of(photo, valid, noise), seed=0)
 
 
-def test_a_material_that_is_right_stays_as_it_is(truth, photo):
+def test_a_matching_material_is_unchanged(truth, photo):
     right = found(truth, photo)
     assert right.gain == pytest.approx(1.0, abs=0.03)
     assert right.shift.abs().max() < 0.05
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.4])
-def test_contrast_and_mean_are_found_again(truth, photo, gain):
+def test_contrast_and_mean_are_recovered(truth, photo, gain):
     wrong = spoilt(truth, gain, SHIFT.tolist())
     moved = found(wrong, photo)
     assert moved.gain * gain == pytest.approx(1.0, abs=0.06)
@@ -106,7 +106,7 @@ def test_the_matched_material_looks_like_the_photograph(truth, photo):
     assert contrast < 0.2 * contrast_before
 
 
-def test_gloss_and_the_material_given_are_left_alone(truth, photo):
+def test_gloss_and_the_given_material_are_unchanged(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
     before = copy.deepcopy(network(wrong).state_dict())
     matched = match_photograph(wrong, plane_of(photo, VALID))
@@ -117,7 +117,7 @@ def test_gloss_and_the_material_given_are_left_alone(truth, photo):
     assert not torch.allclose(old.diffuse, new.diffuse, atol=0.01)
 
 
-def test_what_is_compared_is_what_is_made(truth, photo):
+def test_the_matched_material_has_the_compared_maps(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
     moved = found(wrong, photo)
     old = wrong.maps(64, 64)
@@ -131,7 +131,7 @@ def test_what_is_compared_is_what_is_made(truth, photo):
     torch.testing.assert_close(relief, moved.gain * old_relief, atol=1e-5, rtol=0.0)
 
 
-def test_the_sensors_noise_is_no_contrast_to_be_met(truth, photo):
+def test_sensor_noise_is_not_matched_as_contrast(truth, photo):
     generator = torch.Generator().manual_seed(0)
 
     def hiss():
@@ -169,7 +169,7 @@ def test_blocks_count_by_their_share_of_diffuse_light():
 
 
 @pytest.mark.parametrize("unseen", ["invalid", "clipped"])
-def test_nothing_moves_where_nothing_can_be_compared(truth, photo, unseen):
+def test_without_valid_windows_nothing_changes(truth, photo, unseen):
     valid = torch.zeros_like(VALID) if unseen == "invalid" else VALID
     picture = photo if unseen == "invalid" else torch.ones_like(photo)
     plane = Plane(picture, valid, None, fit_encoding(photo, VALID))
@@ -185,7 +185,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
     assert not nothing.shift.any()
 
 
-def test_a_capture_ends_with_it_but_for_drafts():
+def test_captures_but_drafts_end_with_matching():
     setup = SETUP.with_intensity((3.0, 3.0, 3.0))
     shot = take(piece("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
     stages = {}
@@ -275,7 +275,7 @@ def test_the_best_scale_is_where_the_distance_is_least():
     assert cost(best) <= min(cost(best * other) for other in (0.97, 0.99, 1.01, 1.03)) + 1e-6
 
 
-def test_raised_targets_lead_to_the_true_contrast():
+def test_raised_targets_give_the_true_contrast():
     """Draws as scattered as the photograph's windows are nearest to them at their own size."""
     generator = torch.Generator().manual_seed(4)
     draws = (0.5 * torch.randn(400, 40, 40, generator=generator)).exp()
@@ -292,7 +292,7 @@ def test_a_picture_without_neighbours_is_left_as_it_is():
 
 
 @pytest.mark.parametrize(("width", "height"), [(96, 64), (97, 33), (32, 32), (200, 40)])
-def test_together_they_cover_the_picture_and_none_reaches_outside(width, height):
+def test_windows_cover_the_picture_and_stay_inside(width, height):
     _, _, windows = cut(width=width, height=height)
     seen = torch.zeros(height, width, dtype=torch.bool)
     for x, y in corners(windows, width, height):
@@ -311,7 +311,7 @@ def test_windows_hardly_seen_are_left_out():
         assert valid[y : y + SIZE, x : x + SIZE].float().mean() >= 0.3
 
 
-def test_where_nothing_was_seen_all_windows_stay():
+def test_without_valid_texels_all_windows_are_kept():
     _, _, windows = cut(
         torch.zeros(CAPTURE_WINDOWS_HEIGHT, CAPTURE_WINDOWS_WIDTH, dtype=torch.bool)
     )
@@ -331,7 +331,7 @@ def draw(linear, seed, strength=0.1):
     return strength * linear.sqrt() * torch.randn(linear.shape, generator=generator)
 
 
-def test_the_truth_is_nearest_when_its_noise_is_drawn_too():
+def test_the_truth_is_nearest_with_its_noise():
     clean = photograph()
     noisy = clean + draw(clean, 1)
     encoding = fit_encoding(noisy, SEEN)
@@ -347,7 +347,7 @@ def test_the_truth_is_nearest_when_its_noise_is_drawn_too():
     assert apart(with_noise(rendered, windows.noise, 3)) < 0.75 * apart(rendered)
 
 
-def test_what_is_noise_alone_is_not_amplified():
+def test_noise_alone_is_not_amplified():
     """Grey texture with coloured noise: without knowing better, colour is scaled up."""
     clean = photograph().mean(dim=0, keepdim=True).expand(3, -1, -1)
     noisy = clean + draw(clean, 1, 0.2)
@@ -362,7 +362,7 @@ def test_what_is_noise_alone_is_not_amplified():
     assert amplified[1] < 0.6 * amplified[0]
 
 
-def test_no_noise_changes_nothing_and_all_noise_does_no_harm():
+def test_zero_noise_changes_nothing_and_pure_noise_stays_finite():
     linear = photograph()
     plain = fit_encoding(linear, SEEN)
     none = fit_encoding(linear, SEEN, torch.zeros_like(linear))
@@ -372,7 +372,7 @@ def test_no_noise_changes_nothing_and_all_noise_does_no_harm():
     assert bool(torch.isfinite(only.matrix).all())
 
 
-def test_noise_is_moved_and_follows_the_light():
+def test_noise_is_permuted_and_scaled_with_the_light():
     rendered = photograph()[None, :, :WINDOW, :WINDOW]
     share = torch.randn(rendered.shape, generator=torch.Generator().manual_seed(0))
     first, second = (with_noise(rendered, share, step) for step in (1, 2))
@@ -387,7 +387,7 @@ def test_noise_is_moved_and_follows_the_light():
     )
 
 
-def test_noise_is_rectified_as_the_picture_is():
+def test_noise_is_rectified_like_the_picture():
     setup = a_setup(tilt=(0.15, -0.1))
     photo = uniform(setup)
     assert rectify_noise(photo, setup, 96) is None
