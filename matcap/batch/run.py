@@ -42,7 +42,6 @@ from matcap.photo.checks import Rating
 #
 # All state is in files: a batch that is killed and started again continues.
 
-
 _POLL = 1.0  # seconds that events are waited for
 _PAGE_EVERY = 20.0  # least seconds between two updates of the index
 _LEAST_DETAIL = 128  # texels across: the least detail that is tried when memory runs out
@@ -244,7 +243,6 @@ def _unfit(entry: BatchEntry) -> bool:
 
 
 # A batch in two steps: prepare (list the samples and their states), then capture them.
-
 
 _SETS_SAID = 12  # most groups of photographs that are listed before a batch starts
 

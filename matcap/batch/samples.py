@@ -29,7 +29,6 @@ from matcap.files.settings import (
 
 # The photographs of an input folder, grouped by sample.
 
-
 Grouping = Literal["none", "name", "dir", "time"]
 Taken = Callable[[Path], float | None]
 Brackets = Callable[[Sequence[Path]], list[tuple[Path, ...]]]
@@ -259,7 +258,6 @@ def _named(grouped: Sequence[tuple[Path, ShotSample]]) -> list[ShotSample]:
 
 
 # Settings of a batch: matcap.toml in or next to the input folder, overridden by options.
-
 
 FILE = "matcap.toml"
 _MOST_BYTES = 1_000_000  # limit of a settings file

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 # are synced to disk before they are renamed to their final names, so a right size means a complete
 # file.
 
-
 FILE = "matcap-batch.json"
 FORMAT = "matcap batch record"
 VERSION = 1  # of the file
@@ -100,7 +99,6 @@ def _size(file: Path) -> int | None:
 #
 # A sum of the libraries, the decoded photograph, a part proportional to the exemplar's texels and
 # one to the map set's. Measured on Linux, glibc (command in docs/notes/stability.md).
-
 
 _LIBRARIES = 1_150_000_000  # bytes, with the optimisation of one window
 _BY_PIXEL = {"raw": 22, "other": 12}  # bytes a pixel of the file
@@ -306,7 +304,6 @@ def _keep_foreign(old: Path, new: Path) -> None:
 
 # The state of each sample of a batch (to do, done, failed), read from the output files.
 
-
 EntryState = Literal["todo", "made", "kept", "failed", "left"]
 
 
@@ -389,7 +386,6 @@ def _judge(entry: BatchEntry, out: Path, settings: BatchSettings, policy: Policy
 
 
 # A worker's job: the photographs of one sample to its folder, written completely or not at all.
-
 
 Fault = Literal["photograph", "memory", "disk", "crash"]
 _THUMBNAIL = 192  # pixels along the long side

@@ -226,7 +226,6 @@ def cook_torrance(
 # From measured refractive indices [lagarde2011]; [akenine2018, table 9.2] agrees within a few
 # hundredths. Brass is an alloy, of which tables differ by as much. Steel is iron.
 
-
 METAL_F0: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
         "gold": (1.000, 0.766, 0.336),

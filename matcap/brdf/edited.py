@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 # Maps that another program saved: with alpha, grey as three channels, or other primaries.
 
-
 COLOURS = ("diffuse", "specular")  # maps whose three channels are a colour
 _GREY = 2.0**-9  # largest difference of grey channels over the largest value: half-float rounding
 _ALPHA = "A"
@@ -80,7 +79,6 @@ def in_rec709(colours: MapPixels, primaries: tuple[float, ...] | None, where: st
 
 # Visibility of the seam of repeating maps: the step across the border over steps inside.
 
-
 _LINES = 0.9  # quantile of the lines inside
 
 
@@ -113,7 +111,6 @@ def _ratio(channels: Tensor, axis: int) -> float:
 #
 # matcap derives normals from the height. If the file differs a note says so; `--normals file` reads
 # it instead.
-
 
 _TEXELS = 1_000_000  # number of texels compared, in evenly spaced rows
 _OFF = math.cos(math.radians(2.0))  # angle of an edit; rounding to half float is far less

@@ -207,7 +207,6 @@ def split_stacked(stacked: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 # Mean squared slopes of maps: as normals show them, between texels, and octave by octave.
 
-
 _OCTAVES = 5  # the finest one texel's
 
 
@@ -250,7 +249,6 @@ def energy_between(height: Tensor) -> Tensor:
 #
 # A map set that tiles is integrated by Fourier transforms, the relief of a photographed rectangle,
 # whose opposite borders do not fit, by cosine transforms.
-
 
 HeightPlane = NDArray[np.float32]
 

@@ -20,7 +20,6 @@ from matcap.files.settings import Setting, number, settings_in
 
 # Options that several commands share, and the groups of options in help.
 
-
 GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
 EVERYDAY, SEVERAL, OUTPUT, DECODER, ADVANCED = GROUPS
 _ENDLESS = 1e5  # end of a range that help does not show
@@ -122,7 +121,6 @@ def _of(path: Path) -> Iterable[Path]:
 # def capture(photos: ..., given: Annotated[Given, Fields(CaptureSettings)] = NOTHING) -> None:
 #
 # and receives those that the user gave, by field.
-
 
 Given = Mapping[str, Any]
 NOTHING: Given = MappingProxyType({})

@@ -232,7 +232,6 @@ def drawing(near: DrawOptions, prior: Path | None = None) -> Callable[[int], Mat
 
 # `matcap blend`: materials between two materials.
 
-
 _STRIP = "strip.png"
 _PATTERNLESS = (
     "A blend of two decoders has their colours, gloss and grain but not their patterns; captures "

@@ -322,7 +322,6 @@ def _ordered(numbers: NDArray[np.float32]) -> NDArray[np.int64]:
 
 # Grids of the synthesis levels, the frame that places are limited to, and sizes of patches.
 
-
 MOST_LEVELS = 5  # so that periods are multiples of 2^4 texels, as the decoder's
 COST_BITS = 2  # the grid of placement costs has a step of 2^COST_BITS texels
 _MARGIN = 3  # steps between places and the exemplar's border, for their neighbourhoods

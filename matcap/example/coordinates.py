@@ -19,7 +19,6 @@ from matcap.field.turns import Integers
 
 # Correction of synthesised coordinates [lefebvre2005] with k-coherence candidates [tong2002].
 
-
 Places = NDArray[np.int16]  # (rows, columns, 2): x, y of the exemplar
 
 # As in kernel.c. A phase error of a tenth of a turn costs as much as a visible seam. The mismatch

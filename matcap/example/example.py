@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 # Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
 # for the synthesis, and its maps are read at full resolution.
 
-
 _MEASURED = (1, 128)  # level, and places a side, of the square of seam_correlations
 _GRID = 1536  # texels of the grid's longer side, at most
 

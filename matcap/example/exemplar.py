@@ -61,7 +61,6 @@ def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDA
 # a power of two, as differences of half floats would give uneven slopes. Files may be hostile, so
 # that sizes are checked before anything is unpacked.
 
-
 Floats = NDArray[np.float32]
 
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}

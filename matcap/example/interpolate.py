@@ -40,7 +40,6 @@ from matcap.files.color import LUMINANCE
 # The search is PatchMatch's [barnes2009], with random numbers from one seed, in floating point:
 # results are the same again on one machine, not to the bit on all.
 
-
 OCTAVES = 6  # finest of about 4 texels, coarsest of about 128; slower drifts are no pattern
 # Steps of the search. Twice as many take half as long again and change nothing to the eye.
 _COARSEST = 32  # texels along the long side of the coarsest level
@@ -307,7 +306,6 @@ def _taps(pattern: Floats) -> Floats:
 #
 # F0 of a dielectric and of a metal are interpolated like any others, and diffuse albedo too, so
 # that it fades as F0 rises and their sum stays within 1: a dull sheen half-way.
-
 
 _UNSEEN = 0.003  # deviation of an octave that is not visible; roots of albedo, roughness, texels
 _QUANTILES = np.linspace(0.0, 1.0, 513)

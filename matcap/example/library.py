@@ -18,7 +18,6 @@ from matcap.files.process import find_library, not_built
 # The counter-based hash of space/random_field.py, in NumPy: column and row are hashed separately,
 # combined, and hashed again, all modulo 2^64.
 
-
 Hashes = NDArray[np.uint64]
 
 _WORD = 2**64
@@ -60,7 +59,6 @@ def draw(hashes: Hashes, index: int, count: int) -> Integers:
 
 
 # Loads the compiled loops (kernel.c).
-
 
 _FORM = 3  # version of kernel.c's interface
 

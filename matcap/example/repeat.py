@@ -192,7 +192,6 @@ def _follows(x: TileTexels, y: TileTexels, axis: int) -> NDArray[np.bool_]:
 
 # Source of blocks from periodic maps held in memory.
 
-
 BLOCKS = Grid(1024, 256)  # wider than a decoder's: for small blocks most time goes into the margin
 
 

@@ -19,7 +19,6 @@ from matcap.example.lattice import GRID, Frequency, PhasedLattice
 # The seam crosses every row once and may run any distance along a row, at the cost of the texels it
 # passes. Dynamic programming finds the exact minimum.
 
-
 CutColumns = NDArray[np.int64]
 
 
@@ -294,7 +293,6 @@ def _shrunk(planes: Planes, scale: int) -> Planes:
 
 
 # Resampling of maps so that a lattice and a tile's shifts are straight.
-
 
 _TURN = 2.0**16
 _BENT = 0.25  # texels: smaller displacements are not resampled

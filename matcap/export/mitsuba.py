@@ -33,7 +33,6 @@ from matcap.export.textures import (
 # separable Smith. Bare metal uses `principled` alone. (`roughconductor` has the metal's own
 # Fresnel, 2 to 9 % of the light off Schlick's.)
 
-
 _SCRIPT = "matcap_bsdf.py"
 _LARGEST_SHARE = 0.98
 _NO_DIFFUSE = 1e-3  # largest diffuse albedo of bare metal

@@ -24,7 +24,6 @@ from matcap.export.formats import Picture
 # that a ridge between two steps is lowered instead of missed. Cavity is `open` with horizons within
 # CAVITY_REACH texels. relight/relief.py is the renderer's version, with interreflection.
 
-
 AZIMUTHS = 12
 REACH = 256  # texels
 CAVITY_REACH = 4

@@ -31,7 +31,6 @@ from matcap.export.texture_file import TextureFile
 # [lazarov2013]. - Unity HDRP: Disney's diffuse [burley2012, eq. 4], divided by 1.03571. - Unity
 # URP: visibility and Fresnel in one term [zioma2015].
 
-
 _DISNEY = 1.0 / 1.03571  # Unity's normalisation
 _FADING = 50.0  # F90 = min(50 F0, 1) [lazarov2013]
 _LEAST_URP = 0.0078125  # URP's smallest alpha: HALF_MIN_SQRT

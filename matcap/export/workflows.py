@@ -33,7 +33,6 @@ from matcap.export.shading import (
 # directions of the residual (surface.py). Textures are written with these factors; the remaining
 # difference is the residual.
 
-
 _ROUGH, _F0 = 64, 33
 # Factors on roughness that are tried where the target's lobe has another shape ("mobile").
 _RATIOS = np.linspace(0.7, 1.3, 61)
@@ -187,7 +186,6 @@ def _nearest(
 # may become metallic, so it must be clearly better.
 #
 # surface.residuals measures the remaining error.
-
 
 Form = Literal["plain", "tinted", "free"]
 FORMS: tuple[Form, ...] = get_args(Form)

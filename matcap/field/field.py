@@ -21,7 +21,6 @@ from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inne
 # Their results differ by about 1e-6. An output that was begun on one is therefore never continued
 # on the other (synth/request.py).
 
-
 DeviceName = Literal["auto", "cpu", "cuda"]
 
 _SETTINGS_LOCK = threading.Lock()
@@ -77,7 +76,6 @@ def computes_bfloat16() -> bool:
 # whatever order, and however many blocks are computed in parallel.
 #
 # Read next: source.py (one block), synth/stream.py (rectangles of any size, to files).
-
 
 __all__ = ["BLOCK", "Field", "Rectangle"]
 

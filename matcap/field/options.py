@@ -61,7 +61,6 @@ AS_IT_IS = ReadOptions()
 
 # Options of what draws materials from the prior, and of what blends two; space is not loaded.
 
-
 SPREAD = 0.3  # default distance from an anchor (space/prior/store.py); docs/notes/prior.md
 _MOST_STEPS = 256
 

@@ -76,7 +76,6 @@ class Span:
 
 # The fixed grid of blocks that the plane is cut into, and the blocks that a rectangle covers.
 
-
 BLOCK = 512  # texels along x; docs/notes/field.md has the measurement
 BLOCK_HEIGHT = 256
 RING = 1  # texels around a block from which its border's slopes are computed

@@ -13,7 +13,6 @@ from matcap.files.settings import Rectangle as Rectangle
 # The phase at texel (x, y) is x * step_x + y * step_y + start, a sum of Python's integers. It has
 # no rounding error however far away a texel lies, and wraps modulo 2^64 as turns do.
 
-
 Integers = NDArray[np.int64]
 
 

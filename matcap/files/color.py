@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 #
 # Every linear colour in matcap is Rec.709 with the white point D65.
 
-
 Matrix = NDArray[np.float64]
 
 # Chromaticities x, y of red, green, blue and white (ITU-R BT.709-6; D65).
@@ -81,7 +80,6 @@ def _to_xyz(given: Matrix) -> Matrix:
 # 0.735357, and code 0.5 is light 0.214041. Values below 0 and above 1 are extrapolated by the same
 # formulas. Derivatives are finite everywhere. For NumPy and PyTorch.
 
-
 CodeValues = TypeVar("CodeValues", NDArray[np.float64], NDArray[np.float32])
 
 # Limit of the linear segment, in code values and in light.
@@ -134,7 +132,6 @@ def srgb_slope(light: CodeValues) -> CodeValues:
 #
 # Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2
 # for PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
-
 
 Values = NDArray[np.float64]
 Curve = Callable[[Values], Values]

@@ -134,7 +134,6 @@ def _of_item(data: bytes, item: int) -> Iterator[int]:
 
 # Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
 
-
 _LOSSLESS_OR_HIERARCHICAL = (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF)
 
 

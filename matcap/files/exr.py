@@ -159,7 +159,6 @@ def _roles(tails: Mapping[str, int], *, alone: bool) -> dict[str, int] | None:
 # radiance is true radiance times the product of all EXPOSURE and COLORCORR entries. FORMAT is RGB
 # or CIE XYZ.
 
-
 MAGIC = b"#?"
 _LONGEST = 1 << 16  # bytes of a header
 _RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,6}) +([+-])([XY]) +(\d{1,6}) *\r?\n")
@@ -244,7 +243,6 @@ _NUMBERS = {"EXPOSURE": 1, "COLORCORR": 3, "PRIMARIES": 8}
 #
 # Written with OpenEXR, which stores no date, so that equal arrays give equal files. Read with
 # OpenImageIO, which returns errors, where OpenEXR prints them. Tiled files: synth/pictures.py.
-
 
 LARGEST_HALF = 65504.0  # of half float (IEEE 754)
 

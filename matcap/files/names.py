@@ -19,7 +19,6 @@ from matcap.errors import MatcapError, UsageError
 # A name is validated where it is read (plain_name), or turned into a valid one (sanitised_name),
 # and checked again when a file is written (StagedFolder).
 
-
 LONGEST = 200  # bytes, which leaves room for suffixes
 _HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode categories of invisible characters
 _SEPARATORS = "/\\"
@@ -148,7 +147,6 @@ class StagedFolder(PosixPath):
 
 # UDIM texture sets: tiles numbered 1001 + column + 10 row from the bottom left.
 
-
 TOKEN = "<UDIM>"  # stands for a tile's number in file names
 _COLUMNS, _ROWS = 10, 900
 
@@ -192,7 +190,6 @@ def read_document(file: Path, form: str = "") -> dict[str, Any] | None:
 #
 # Read next: tensors.py, which writes the digest.
 
-
 DIGEST, METHOD = "digest", "sha256"  # name of the metadata's entry, and the hash function
 _AT_ONCE = 1 << 18  # bytes read at once, which fit a processor's caches
 
@@ -233,7 +230,6 @@ def note(sentence: str) -> None:
 
 
 # The generator mark that every file written by matcap carries.
-
 
 MAKER_VERSION = "0.1.0"  # of matcap
 MAKER = f"matcap {MAKER_VERSION}"

@@ -41,7 +41,6 @@ from matcap.files.stated_color import lineariser_of, space_of_name, stated_color
 
 # Writes PNG files of 8 and 16 bits; values are rounded, not truncated.
 
-
 PNG_HEADER = 33  # bytes: signature and IHDR
 
 
@@ -95,7 +94,6 @@ def swap_red_blue(whole: NDArray[Any]) -> NDArray[Any]:
 # Values are not converted, and alpha is not premultiplied. Pillow decodes JPEG, because it reports
 # truncated files; OpenImageIO decodes the rest. linear_colours() converts by the file's colour
 # space (stated_color.py). Photographs are read strip by strip in matcap/photo.
-
 
 MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
 _RGB = {"R": 0, "G": 1, "B": 2}
@@ -470,7 +468,6 @@ def _from_space(
 
 # Writes an image to a file: linear EXR or sRGB PNG, by suffix.
 
-
 SUFFIXES = (".exr", ".png")
 
 
@@ -500,7 +497,6 @@ def write_picture(image: NDArray[np.float32], path: Path) -> None:
 
 
 # Reads masks from images, as grey or as transparency.
-
 
 _STEP = 1.5 / 255.0  # code values that differ by less count as equal
 

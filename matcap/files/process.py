@@ -21,7 +21,6 @@ from matcap.errors import MatcapError
 
 # Handling of Ctrl-C and SIGTERM: both raise KeyboardInterrupt, but not inside atomic steps.
 
-
 _BOTH = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -120,7 +119,6 @@ def settle_child() -> None:
 # errors are raised as exceptions. Output of this process to sys.stderr, such as progress, is not
 # suppressed.
 
-
 _CHATTY = ("tifffile", "exifread")
 
 
@@ -190,7 +188,6 @@ def quiet_decoders() -> Iterator[None]:
 
 
 # Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection.
-
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
 
@@ -287,7 +284,6 @@ def not_built(what: str) -> MatcapError:
 #
 # Submitted functions are pure: those of a lost worker are repeated by another, with the same bits
 # if all machines are of one kind and run the same build.
-
 
 _PATIENCE = 10  # seconds for the scheduler to answer
 _WORKERS_WITHIN = 60  # seconds for a first worker to come

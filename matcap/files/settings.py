@@ -22,7 +22,6 @@ from matcap.files.names import shown
 #
 # Invalid text raises a ValueError with a sentence. Values that are parsed already are returned.
 
-
 _SECONDS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 _KILO = 1024  # texels: 2K is 2048
 COORDINATE_LIMIT = 2**40  # texels, largest magnitude of coordinates of the endless field
@@ -201,7 +200,6 @@ def spoken_duration(seconds: float) -> str:
 #
 # Type, range, choices, default and docstring are defined there only. The dataclass, the command
 # line's options (cli/options.py), matcap.toml (batch/samples.py) and the reference pages use them.
-
 
 _KINDS: Mapping[str, type] = {"int": int, "float": float, "bool": bool, "Path": Path}
 _WORDS = {int: "a whole number", float: "a number", bool: "true or false"}

@@ -43,7 +43,6 @@ from matcap.files.containers import Tag
 # floating point; an 8-bit colour engine would clip colours outside sRGB and quantise shadows.
 # Profiles of lookup tables are evaluated by Pillow's ImageCms, at 8 bits.
 
-
 _COLORANTS = (b"rXYZ", b"gXYZ", b"bXYZ")
 _CURVES = (b"rTRC", b"gTRC", b"bTRC")
 # Number of parameters of each type of parametric curve, table 68.
@@ -237,7 +236,6 @@ def _to_8_bits(
 #
 # Files without a statement are sRGB. A statement that cannot be read gives a note. EXR files state
 # primaries (rec709.rec709_from).
-
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_CHUNK = 1 << 26  # bytes; larger chunks are skipped, as a header may claim any size
@@ -435,7 +433,6 @@ def _of_tiff(path: Path, page: int) -> StatedColor:
 
 # Colour spaces by name: the Color Interop Forum's IDs, which EXR's colorInteropID holds
 # (OpenEXR 3.4), as CURVE_PRIMARIES or CURVE_PRIMARIES_STATE.
-
 
 _ACES_WHITE = (0.32168, 0.33767)
 _D65 = (0.3127, 0.3290)

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 # raw.py applies them. Other opcodes are not applied; those that change more than single bad pixels
 # give a note.
 
-
 _GAIN_MAP = 9  # an opcode (DNG 1.7, chapter 7)
 _OF_VALUES = "a correction of values"
 # Other opcodes that change radiance or position, as text for notes.
@@ -179,7 +178,6 @@ def _weights(
 # by default D65; matrices are interpolated between the calibration illuminants by the white's
 # colour temperature; CameraCalibration, AnalogBalance and ForwardMatrix are used. Third illuminants
 # and reduction matrices are ignored.
-
 
 Matrix = NDArray[np.float64]
 
@@ -379,7 +377,6 @@ def _text(value: Any) -> bytes:  # noqa: ANN401
 
 
 # Reads DNG tags that LibRaw ignores: lens shading, white balance, JPEG XL compression.
-
 
 _CFA, _LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
 _FLOATING = 3  # a SampleFormat

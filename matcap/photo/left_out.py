@@ -18,7 +18,6 @@ from matcap.photo.photo import SHORTEST_SIDE, Photo, quarter_turn
 
 # Area downsampling of linear pixels, strip by strip, without a full-size float copy.
 
-
 Rows = tuple[NDArray[np.float32], NDArray[np.bool_]]
 ReadRows = Callable[[int, int], Rows]
 
@@ -88,7 +87,6 @@ def cell_means(
 # in the middle, if all lines beyond it differ from those before it. The gradual falloff of a flash
 # has no such step.
 
-
 Values = NDArray[np.float64]
 
 # Thresholds of a border.
@@ -154,7 +152,6 @@ def _cut(cells: Values) -> int:
 #
 # The photograph keeps its size, so that its centre stays on the optical axis. Pixels that are left
 # out are not used in measurements. For filters and networks they are replaced by mirrored pixels.
-
 
 _LEAST = 0.04  # least share of a photograph that must remain
 _GREY = 0.5  # mask value up to which pixels are left out

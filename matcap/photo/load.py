@@ -329,7 +329,6 @@ def _pointer(data: bytes, file: Any, page: TiffPage, order: str) -> int:  # noqa
 
 # Reads a photograph file of any supported format to a Photo.
 
-
 _DARKEST = 1e-3  # linear; a picture whose maximum is less counts as black
 _MOST_CLIPPED = 0.95  # largest share of clipped pixels
 

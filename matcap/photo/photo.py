@@ -24,7 +24,6 @@ from matcap.files.settings import bounded
 # all channels. c is fitted with the photograph's light (flash/coarse); w hardly shows in one and
 # is held at a phone's.
 
-
 SHOULDER = 0.27  # w of a developed picture; fitted as well, it hardly moves (docs/notes/gloss.md)
 
 
@@ -90,7 +89,6 @@ class ToneCurve:
 
 
 # Errors of load_photo for files that it cannot use.
-
 
 SHORTEST_SIDE = 64  # pixels, least short side
 MOST_PIXELS = 260_000_000  # larger pictures are not opened; a header may claim any size
@@ -164,7 +162,6 @@ def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
 
 
 # Photo: linear pixels, clipping mask and metadata of a photograph file; Decoded, before checks.
-
 
 FULL = 0.95  # of the clip level: channels of a clipped pixel above this count as clipped
 

@@ -19,7 +19,6 @@ from matcap.relight.texture import Sampler, SurfaceSample, between
 
 # Ray-surface intersections, and the interface of surfaces.
 
-
 TangentFrame = tuple[Vec, Vec, Vec]
 
 

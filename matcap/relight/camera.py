@@ -63,7 +63,6 @@ def unit3(vector: tuple[float, float, float]) -> NDArray[np.float64]:
 # denser towards the lobe's rim: pictures have no noise. On smooth environments 144 such points are
 # as accurate as about 600 of an R2 sequence.
 
-
 _FIBONACCI = (34, 55, 89, 144, 233, 377, 610, 987, 1597, 2584, 4181)
 
 

@@ -23,7 +23,6 @@ from matcap.relight.scene import EnvironmentLight
 # is F0 scale + bias [karis2013]. Integrated over the lattice of visible normals, where the
 # integrand is G2 / G1; errors are below 2e-4.
 
-
 _SIZE = 64
 _POINTS = 987
 _FINE = 1024
@@ -164,7 +163,6 @@ def _visible(mu: Array, alpha: Array, point: LatticePoint) -> tuple[Array, Array
 # 1/4 texel^2 of variance along each axis, which blunts smooth maxima. Each level is therefore
 # sharpened by 3/2 - 1/8 (sum of four neighbours): lookups are then exact for radiance that is
 # quadratic over a few texels, and small bright spots still count in full.
-
 
 _FINEST, _COARSEST = 1024, 4
 # Samples along a texel's side of the finest level.

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 # Write radiance to files: exposed and encoded (PNG, GIF, MP4), or linear (EXR).
 
-
 Radiance = NDArray[np.float32]
 STILLS = (".png", ".exr")
 MOVIES = (".gif", ".mp4", ".exr")

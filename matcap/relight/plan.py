@@ -30,7 +30,6 @@ from matcap.relight.texture import Texture, alpha_of
 
 # Record of a picture's rendering: the tiles in which each effect ran, and the seconds it took.
 
-
 TILE = 32  # pixels a side
 
 

@@ -181,7 +181,6 @@ def _highest(field: Array, reach: int, mode: Literal["wrap", "edge"]) -> Array:
 # Texels are walked from on demand. Results depend on the material alone: they serve every light and
 # every later picture.
 
-
 _FARTHEST = 256  # texels
 _LOWEST = math.tan(math.radians(3.0))
 # Coarse transfer groups steps into ranges that end at these distances, in texels; the neighbour at

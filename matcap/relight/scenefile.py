@@ -42,7 +42,6 @@ from matcap.relight.scene import (
 #
 # Files that they name are relative to the scene file. Presets are in named.py.
 
-
 _LARGEST_SIDE = 32768
 _LARGEST_EXPONENT = 20.0  # of vignetting, as in material files
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 # Maps of a material as the renderer reads them: channels first, float32, normals as slopes.
 
-
 MIN_ROUGHNESS = 1e-3  # as matcap.brdf
 
 

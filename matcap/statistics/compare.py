@@ -219,7 +219,6 @@ def pyramid(image: Tensor, levels: int) -> list[Tensor]:
 # One autograd function computes the gradients of all levels, as matrix products added in place;
 # that takes half the time of one function per level.
 
-
 Matrices = tuple[Tensor, ...]
 _Part = tuple[slice, slice]  # rows and columns
 

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 # bytes, so that an interrupted run is resumed: a part whose bytes a power cut took is computed
 # again.
 
-
 _PART = struct.Struct("<QI")  # index of a part, and checksum
 _WRITTEN = 2**64 - 1  # index that says that the map set's files are written
 
@@ -135,7 +134,6 @@ def read_texels(file: IO[bytes], kind: np.dtype[Any], width: int, rows: slice) -
 # floats, heights 32-bit floats. A mip level is the box average of the next larger one; normals are
 # averaged and normalised, and roughness does not take up the variance of the normals that is lost.
 # PNGs hold the values of the EXR files.
-
 
 _TILE = 64
 # (rows, width, channels) of a map.
@@ -329,7 +327,6 @@ def _check(output: Any, done: bool) -> None:  # noqa: ANN401
 # One pixel a texel, of the middle; where the field repeats, of where its copies meet, with the
 # seam's place marked outside the picture. Workers light the parts as they compute them, so that
 # nothing is read back; a resumed run computes the parts that the preview shows again.
-
 
 _PIXELS, _SIDE = 1 << 20, 1024  # of the picture; one side is longer if the other is shorter
 # Dark materials are multiplied until this quantile of the radiance has this value.

@@ -152,7 +152,6 @@ class AdjustedSource(DerivedSource):
 
 # Output plan of a request: map sets, the files of each, and their JSON document.
 
-
 _LARGEST_SIDE = 2**31 - 1  # texels, of an OpenEXR file
 _SPARE = 5_000_000  # bytes for headers, the JSON file and the preview
 

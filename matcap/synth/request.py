@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 #
 # Read next: fields.py (the field), plan.py (which files), stream.py (how they are written).
 
-
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
 
 

@@ -59,7 +59,6 @@ if TYPE_CHECKING:
 
 # Runs blocks of a field as jobs of a worker pool, in order, a bounded number at a time.
 
-
 T_co = TypeVar("T_co", covariant=True)
 
 
@@ -149,7 +148,6 @@ def _first(pending: deque[tuple[Job, Future[BlockResult]]]) -> tuple[Job, BlockR
 #
 # Read next: field/source.py (why one thread a block), stream.py (which uses the results).
 
-
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
 _FEW = 24  # up to so many blocks, threads are done before processes have started
 
@@ -224,7 +222,6 @@ def _prepare(packed: bytes) -> None:
 # Staging folder of a run that can be resumed.
 #
 # Unlike those of other outputs (files/output.py), an interrupted run's hidden folder is kept.
-
 
 _KEY, _LOCK = ".request", ".lock"
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 # squared slopes, height; eleven where F0 has three channels. All are linear under averaging, as in
 # relight/texture.py: the variance of slopes within a coarse texel adds to its alpha^2.
 
-
 Planes = NDArray[np.float32]
 
 DIFFUSE, F0 = slice(0, 3), slice(3, -5)
@@ -83,7 +82,6 @@ def mean_of(moments: Planes) -> tuple[float, ...]:
 #
 # - by example they are averages of the exemplar, at places that are synthesised at that level;
 # - of a network they are blended from a periodic tile of its field at random shifts [deliot2019].
-
 
 _NEAR = 1  # coarsest level that is averaged from synthesised texels; coarser ones take too long
 _PIECE = 7  # squares from 2^7 texels on are in different patches, and independent

@@ -166,7 +166,6 @@ def _halves(planes: Planes) -> bytes:
 
 # Reference data of a material in the viewer: photograph, verdict of its capture, doubt mask.
 
-
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
     *(

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 # Requests with another Host header are refused, against DNS rebinding. Routes are a fixed list and
 # no request names a file, so that there is no path traversal.
 
-
 PagesOf = Callable[[Viewable], Pages]
 
 _POLL = 0.05  # seconds between checks whether the client has disconnected
@@ -271,7 +270,6 @@ def decoded_exr(data: bytes) -> NDArray[np.float32]:
 
 
 # Runs the page's server, bound to 127.0.0.1 only.
-
 
 HOST = "127.0.0.1"
 # (level, column, row) of the pages visible first, as initial() in page/view.js.

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 # Subjects of the page: a material, a blend of two, or a map set.
 
-
 _FIELDS = 8  # fields cached, by seed and share; and blends, by share
 
 

@@ -25,7 +25,6 @@ from matcap.files.names import Progress
 
 # The order of events of a batch, with a workers that does what it is told.
 
-
 SETTINGS = BatchSettings.of({"detail": 512, "size": (64, 64)})
 
 

@@ -168,7 +168,6 @@ def test_failures_are_recorded_and_removed(tmp_path):
 
 # The page and its tables.
 
-
 RECORD = {
     "identity": "i", "photographs": ["/shoot/a & b.jpg"], "relative_error": 0.5,
     "tilt_degrees": [0.0, -7.5], "verdict": {"rating": "usable", "severity": 1.5},

@@ -21,7 +21,6 @@ from matcap.files.names import Note
 
 # Map sets of which another program opened and saved a map.
 
-
 INFO = MapSetInfo("leather")
 
 

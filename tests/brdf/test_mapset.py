@@ -29,7 +29,6 @@ from matcap.errors import ExitCode, MatcapError
 
 # Map-set folders: what stands in them, what comes back, what is refused.
 
-
 INFO = MapSetInfo("leather", seed=7, origin=(-5, 2**33), provenance={"photo": "leather.dng"})
 KINDS = ("diffuse", "specular", "roughness", "height", "normal")
 
@@ -319,7 +318,6 @@ def test_a_set_with_all_maps_in_one_file_is_read(tmp_path, maps):
 
 
 # The measure of seams, on maps whose seams are known.
-
 
 SEAMLESS = 1.15  # invisible: single lines of a texture scatter by as much
 

@@ -42,7 +42,6 @@ from matcap.flash.light import render_flash, render_rectified
 
 # Cook-Torrance against physics and float64; normals and the flash's geometry.
 
-
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None, None]
 
 
@@ -157,7 +156,6 @@ def test_brightness_follows_distance_squared_and_intensity():
 
 # Surfaces as numbers of which any is allowed: one way in, one way out.
 
-
 TEXEL = 1.0 / 64.0
 
 
@@ -196,7 +194,6 @@ def test_log_parameter_residuals_are_added() -> None:
 
 
 # F0 with a colour: three channels where some of a material is metal, one everywhere else.
-
 
 INFO = MapSetInfo("gold", seed=1)
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722])

@@ -26,7 +26,6 @@ from matcap.space.prior import store
 #
 # The laboratory is a distribution of its own, in lab/.
 
-
 ROOT = Path(__file__).parents[2]
 # What git tracks in the package and setuptools would leave out unless told.
 DATA = (
@@ -161,7 +160,6 @@ def test_nothing_of_the_product_or_of_its_tests_imports_the_laboratory():
 
 
 # `import matcap`: the names it promises, and no others.
-
 
 NAMES = {
     "Field", "MapSet", "MapSetInfo", "MatcapError", "Material", "__version__", "capture",

@@ -24,7 +24,6 @@ from matcap.files import settings as values
 
 # The command line as a process: fast to start, honest exit codes, nothing but sentences.
 
-
 HEAVY = ("torch", "cv2", "rawpy", "OpenEXR", "OpenImageIO", "safetensors", "tifffile", "numpy")
 
 
@@ -170,7 +169,6 @@ def test_a_signal_leaves_nothing_torn_and_no_traceback(tmp_path, command, number
 
 
 # What every command has in common: help, colour, completion, quiet and verbose.
-
 
 START = "from matcap.cli.main import run; run()"
 

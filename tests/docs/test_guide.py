@@ -64,7 +64,6 @@ def test_the_guides_pattern_shows_its_tilt(degrees):
 
 # What the documentation shows: commands parse, cheap ones run, snippets work, links hold.
 
-
 PAGES = sorted([*GUIDE_ROOT.glob("*.md"), *GUIDE_ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(GUIDE_ROOT)) for page in PAGES]
 # Pages of the guide whose commands are run; test_guide.py runs others, tests/cli those of README.
@@ -229,7 +228,6 @@ def test_files_named_in_the_documentation_exist():
 
 
 # The change that docs/guide/extend.md walks through, done as the page says.
-
 
 ROOT = Path(__file__).parents[2]
 

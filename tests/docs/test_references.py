@@ -190,7 +190,6 @@ def test_docstrings_are_parsed():
 
 # What comments, docstrings and pages refer to exists: pages, files, modules and papers.
 
-
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("matcap", "lab", "tests", "docs", "examples")
 # Changes tell of what was; weights' cards stand in the same folder as what they describe.

@@ -36,7 +36,6 @@ from matcap.synth.request import SynthRequest
 
 # The field by example is one function of texel and seed, made of the exemplar's own pieces.
 
-
 _HALF = 0.4
 _KINDS = {
     "blobs": an_example(),
@@ -271,7 +270,6 @@ def test_a_field_by_example_needs_no_torch():
 #
 # Every reference is in int64, where nothing of this could.
 
-
 INT16, INT32 = 2**15 - 1, 2**31 - 1
 SIDE = 1024  # places of a draw: a million of them
 MOST_PRICE = 255**2 << PENALTY_BITS
@@ -352,7 +350,6 @@ def test_the_largest_features_are_projected_exactly(project) -> None:
 
 
 # Maps are the exemplar's where nothing was rearranged, and join where something was.
-
 
 SIZE = (300, 120)  # texels of the halves
 

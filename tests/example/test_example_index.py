@@ -388,7 +388,6 @@ def test_the_summary_states_the_patch_size():
 
 # Exemplars with a fine lattice are straightened and get one cell, others are left alone.
 
-
 WAVES = ((0.16, 0.02), (-0.03, 0.18))
 WIDTH, HEIGHT = 512, 384
 

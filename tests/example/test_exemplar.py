@@ -125,7 +125,6 @@ def test_planes_are_contiguous_however_they_are_given():
 
 # A material that holds an exemplar, beside those of before: opened, read, blended, told of.
 
-
 BEFORE = Path(__file__).parents[1] / "synth" / "before" / "before.matcap"
 
 
@@ -197,7 +196,6 @@ def test_files_are_the_same_whoever_writes_them(first, tmp_path):
 
 
 # An exemplar whose F0 has a colour: stored, compared by it, rearranged, repeated and written.
-
 
 AREA = Rectangle(-30, 20, 150, 90)
 

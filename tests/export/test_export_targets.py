@@ -161,7 +161,6 @@ def test_file_names_of_presets_are_those_of_the_table(captured, preset):
 
 # Six materials repeat without a seam: as a capture's first map set, and in exports.
 
-
 SEAMLESS = 1.15  # invisible: single lines of a texture scatter by as much
 WIDTH, HEIGHT = 256, 192
 

@@ -50,7 +50,6 @@ from matcap.synth.request import SynthArea, SynthRequest, Work
 
 # Settings are told once, and mean the same from Python, from a file and from the command line.
 
-
 KINDS = (
     CaptureSettings, InspectSettings, OutputSettings, BatchSettings, ReadOptions, ExportOptions,
     ExportArea, SynthRequest, SynthArea, Work, RelightOptions, DrawOptions, SampleOptions,
@@ -110,7 +109,6 @@ def test_the_nearest_word_or_all_there_are():
 
 
 # Sizes, rectangles, times and names as typed or found in files.
-
 
 NASTY = (
     "", " ", ".", "..", ".hidden", "../keep", "../../victim/keep", "/etc/passwd", "a/b", "a\\b",
@@ -253,7 +251,6 @@ def test_a_file_without_a_digest_is_refused(tmp_path):
 
 
 # Signals: alike, postponed where work must be whole, and no matter to children.
-
 
 BOTH = [signal.SIGINT, signal.SIGTERM]
 

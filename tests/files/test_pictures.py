@@ -222,7 +222,6 @@ def test_not_finite_and_misfitting_files_are_refused_on_reading(tmp_path):
 
 # The one sRGB curve, colours of other primaries, and one luminance in the package.
 
-
 D65 = (0.3127, 0.3290)
 P3 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *D65)
 REC2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65)

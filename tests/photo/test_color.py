@@ -218,7 +218,6 @@ def test_a_report_states_the_curve_of_its_photograph_or_none(report, exponent):
 
 # White balance and colours of DNGs, as Adobe's specification has them.
 
-
 D65, A = (0.3127, 0.3290), (0.44758, 0.40745)
 NEUTRAL = np.array([0.5, 1.0, 0.7])
 GREY = np.full((96, 128, 3), 0.4)
@@ -355,7 +354,6 @@ def test_a_missing_or_singular_colour_matrix_gives_no_colour():
 
 
 # Colour spaces that files state, each against patches coded by the standard's own formula.
-
 
 REC709 = np.array([[0.5, 0.2, 0.1], [0.1, 0.4, 0.3], [0.05, 0.1, 0.6], [0.7, 0.7, 0.7]])
 STATED_COLOR_D65 = (0.3127, 0.3290)

@@ -18,7 +18,6 @@ from matcap.photo.raw import SensorNoise, find_noise
 
 # RAW: linear, balanced, oriented once, clipping read off the mosaic, by quiet decoders.
 
-
 NEUTRAL = (0.5, 1.0, 0.6)
 MIXING = np.array([[0.7, 0.25, 0.05], [0.2, 0.7, 0.1], [0.05, 0.25, 0.7]])
 
@@ -203,7 +202,6 @@ def test_a_cut_raw_prints_nothing(tmp_path):
 
 # The sensor's noise: found where it is known, drawn again as it was drawn first.
 
-
 LEVELS = np.full((2, 2), float(BLACK))
 RANGE = WHITE - BLACK
 SENSORS = [(2000.0, 3.0), (500.0, 12.0), (8000.0, 2.0)]  # electrons: full well, read noise
@@ -338,7 +336,6 @@ def test_the_same_file_gives_the_same_draw(tmp_path):
 
 # DNGs that LibRaw cannot open come out as the same DNGs uncompressed, to the bit.
 
-
 JPEG_XL = 52546
 TILED = {"compression": "zlib", "tile": (32, 48), "predictor": True}
 
@@ -428,7 +425,6 @@ def test_missing_extra_names_its_command(tmp_path, light, monkeypatch):
 
 
 # A DNG's lens shading: parsed, evaluated as the standard says, applied where it belongs.
-
 
 SIZE = (96, 128)
 PLACES = [(0, 0), (0, 1), (1, 0), (1, 1)]

@@ -26,7 +26,6 @@ from matcap.relight.texture import Texture
 
 # Map sets of others, written here from a material that is known.
 
-
 AMBIENTCG = {
     "base": "Bricks066_1K-PNG_Color.png",
     "gl": "Bricks066_1K-PNG_NormalGL.png",
@@ -480,7 +479,6 @@ def test_a_file_name_overrides_the_option_with_a_note(plain):
 
 
 # What matcap exports it reads back as a map set.
-
 
 MAPS = bumpy(48, 32, seed=7, relief=0.05)
 MAPS = replace(MAPS, specular=0.0 * MAPS.specular + 0.045)

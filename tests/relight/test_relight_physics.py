@@ -373,7 +373,6 @@ def test_a_worked_value_is_reproduced():
 
 # An F0 with a colour is relit as three materials of one channel each would be, light by light.
 
-
 GOLD = (1.0, 0.766, 0.336)
 COLOUR = torch.tensor(GOLD)[:, None, None]
 LIGHTS = {

@@ -39,7 +39,6 @@ from matcap.relight.scenefile import PRESETS, parse_scene, preset, read_scene
 
 # Scenes from files and from the shorthand of the command line.
 
-
 EVERYTHING = """
 [film]
 width = 64
@@ -213,7 +212,6 @@ def test_every_example_scene_is_valid():
 
 # `matcap relight`, with real files.
 
-
 SCENE = """
 [film]
 width = 20
@@ -360,7 +358,6 @@ def test_wrong_options_are_one_sentence(run, tmp_path, arguments, code, message)
 
 
 # `--light flash` is the photograph again: matcap.flash.light's picture, from the same camera.
-
 
 SETUP_OF_A_PHONE = FlashSetup(
     fov=64.0, offset=(0.1, -0.04, 0.02), intensity=(5.0, 4.0, 3.0), vignetting=0.4,

@@ -33,7 +33,6 @@ from matcap.relight.surfaces import load_mesh
 
 # Sphere, cylinder and mesh; distant planes.
 
-
 LAMBERT = "none,+diffuse"
 AHEAD = Camera("orthographic", (0.0, 0.0, 5.0), scale=1.2)
 
@@ -380,7 +379,6 @@ def test_the_search_for_suns_ends_whatever_the_sky(tmp_path, lit):
 
 
 # Numbers at the edge of what can be: the true picture, or one sentence with culprit and remedy.
-
 
 FILM = Film(16, 12)
 

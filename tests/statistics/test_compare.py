@@ -27,7 +27,6 @@ from matcap.statistics.compare import (
 
 # Descriptors and their distance: zero for the same, small for alike, large for unlike.
 
-
 BANK = FilterBank(FilterBankConfig(sizes=(5,), filters=16, levels=3))
 KINDS = ("gram", "cross", "spectrum", "histogram", "mean")
 
@@ -160,7 +159,6 @@ def test_quantiles_are_those_of_sorted_colours_with_or_without_a_gradient(dtype)
 
 
 # Random filters, their pyramid, and Gram matrices with their gradient.
-
 
 SMALL = FilterBankConfig(sizes=(3, 5), filters=4, levels=3)
 

@@ -9,7 +9,6 @@ from matcap.statistics.lattice import autocorrelation, find_lattice, power_spect
 
 # Plane waves put into a picture come out of it; noise has none.
 
-
 SIZE = 384
 # Cycles per texel by which a found wave may miss: a twentieth of a bin of 1/256, so that over the
 # 384 texels of the picture its phase drifts by less than a tenth of a turn.

@@ -92,7 +92,6 @@ def test_every_bit_of_seed_and_place_changes_half_of_the_hash():
 
 # NAME_preview.png: what is written, one pixel a texel, lit from the top, and where it repeats.
 
-
 DISTANCE = math.hypot(2.0, 1.2)
 
 
@@ -189,7 +188,6 @@ def test_maps_written_over_synthesised_ones_leave_no_preview_of_those(material, 
 #
 # Written again, after a change that is meant to change bits, by
 # `python tests/synth/test_field_draws.py`.
-
 
 BEFORE = Path(__file__).with_name("before")
 MATERIAL = BEFORE / "before.matcap"

@@ -217,7 +217,6 @@ def test_a_seed_out_of_range_is_a_usage_error(material, tmp_path):
 
 # Large buffers are used again, in threads too: fresh pages can cost as much as the computing.
 
-
 TESTS = Path(__file__).parents[1]
 PROGRAM = """
 import resource, sys
@@ -254,7 +253,6 @@ def test_the_buffers_of_one_block_serve_the_next():
 
 
 # One device or the other: chosen, refused, never mixed. What needs CUDA is skipped without it.
-
 
 CONVOLUTION = torch.backends.cudnn.conv
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")

@@ -447,7 +447,6 @@ def _rank(kind: str, word: str) -> int:
 #
 # Of a .glb its textures are unpacked (glTF 2.0, section 4.4), as far as export/gltf.py writes them.
 
-
 _FORMAT, _VERSION = "matcap export", 2
 # Beginnings of a texture's `meaning` in the sidecar, and the maps that it holds.
 _MEANINGS: tuple[tuple[str, Packing], ...] = (

@@ -31,7 +31,6 @@ from matcap.relight.texture import Texture
 
 # Decode normal maps of other programs, and determine which way their green points.
 
-
 _STEEPEST = 20.0  # largest slope that 8 bits resolve
 _STEP = 2.0 / 255.0  # range below which a channel is constant
 _UNIT = 0.05  # largest mean deviation of vectors' length from 1
@@ -176,7 +175,6 @@ def _constant(plane: Array) -> bool:
 
 
 # Read the maps of another program's set: decoded, one size, missing ones None (see read.py).
-
 
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
 _COLOURED = 0.02  # mean difference between channels above which a picture is coloured
@@ -490,7 +488,6 @@ def _read(path: Path, grid: tuple[int, int] | None, wanted: tuple[str, ...]) -> 
 # is matcap's export, whose sidecar states the size.
 #
 # names.py recognises files, read.py reads them.
-
 
 _LEVEL = 0.08  # F0 of specular level 1 [burley2012]
 # Height range over width, assumed without a normal map.

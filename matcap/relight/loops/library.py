@@ -77,7 +77,6 @@ def address(array: Array) -> Any:  # noqa: ANN401
 
 # C structures of the loops, field by field as in loops.h and the .c files, which explain them.
 
-
 _Three, _Nine = Pointer * 3, Pointer * 9
 _Vector = Real * 3
 # Terms that a CLamp adds, as bits (lights.c); VECTOR is vector irradiance.
