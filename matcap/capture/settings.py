@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 # User settings of a capture and its outputs, presets, and the effort that follows from them.
 #
 # Each setting is defined once, here: options, matcap.toml and the reference pages take its range,
-# default and docstring from its field (files/settings.py). Variants for experiments are in
-# settings.py.
+# default and docstring from its field (files/settings.py). Variants for experiments: `Method` in
+# rectified.py.
 
 
 # Texels along the long side; docs/notes/capture.md compares quality and time.

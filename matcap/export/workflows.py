@@ -30,7 +30,7 @@ from matcap.export.shading import (
 # Lambert's, Unity's mobile term is twice as bright on polished surfaces. For a flat surface the
 # difference depends on roughness and F0 alone. Once a target, over a grid of both, three factors
 # (on diffuse albedo, F0 and roughness) minimise the difference of reflected light under the
-# directions of the residual (surface.py). Textures are written with these factors; the remaining
+# directions of the residual (shading.py). Textures are written with these factors; the remaining
 # difference is the residual.
 
 _ROUGH, _F0 = 64, 33
@@ -185,7 +185,7 @@ def _nearest(
 # dielectric F0 minimise the difference of light; exact for maps of a metallic material. Dielectrics
 # may become metallic, so it must be clearly better.
 #
-# surface.residuals measures the remaining error.
+# shading.residuals measures the remaining error.
 
 Form = Literal["plain", "tinted", "free"]
 FORMS: tuple[Form, ...] = get_args(Form)
@@ -333,7 +333,7 @@ class _Tried:
 
 # Conversion to the specular workflow: base colour under a specular layer of any F0.
 #
-# The base colour is raised by what the layer darkens in the target's shading model (fit.py); values
+# The base colour is raised by what the layer darkens in the target's shading model; values
 # above 1 are clipped, with a note.
 
 
