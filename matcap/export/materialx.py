@@ -6,7 +6,7 @@ brighter where F0 and roughness are both high.
 
 NAME_openpbr.mtlx and NAME_standard_surface.mtlx are for programs, such as Unreal, that read only
 `open_pbr_surface` and `standard_surface`. Both layer the specular lobe over the diffuse one; the
-base colour compensates for the layer's darkening (fit.py).
+base colour compensates for the layer's darkening (workflows.py).
 
 All displace by the height, in metres if the size was measured.
 """
