@@ -61,8 +61,8 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     observed, predicted = classified(observed, predicted)  # dielectric, metal, or both
     predicted = refine_maps(observed, predicted)  # until they re-render to the photograph
 
-    exemplar = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
-    exemplar = transfer_detail(exemplar, rectified.whole, coarse)
+    exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
+    exemplar = transfer_detail(exemplar, rectified.whole, coarse, copies)
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
     exemplar = scaled(exemplar, scale).rounded()
     whole = rectified.whole  # fields show nothing from outside of the photograph's frame

@@ -10,7 +10,13 @@ import pytest
 import torch
 from photographed import SETUP, Photographed, photographed
 
-from matcap.capture.exemplar.inpaint import composed, inpainted, remaining_highlight, transport
+from matcap.capture.exemplar.inpaint import (
+    Copies,
+    composed,
+    inpainted,
+    remaining_highlight,
+    transport,
+)
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import exemplar_of, predict_maps
@@ -121,7 +127,8 @@ def test_a_spot_in_albedo_is_inpainted():
     white = residuals.diffuse + 0.8 * torch.from_numpy(disc)
     spotted = replace(prediction, residuals=replace(residuals, diffuse=white))
     plain, found = (
-        inpainted(exemplar_of(observed, each), observed).diffuse for each in (prediction, spotted)
+        inpainted(exemplar_of(observed, each), observed)[0].diffuse
+        for each in (prediction, spotted)
     )
     inside = np.log(found[:, disc]).mean() - np.log(found[:, ~disc]).mean()
     before = np.log(plain[:, disc]).mean() - np.log(plain[:, ~disc]).mean()
@@ -152,7 +159,7 @@ def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) 
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:
         valid[hole] = False
-    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)[0]
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:
@@ -230,6 +237,23 @@ def test_a_unique_pattern_is_inpainted_too(shot: Photographed) -> None:
     assert hole.std((1, 2)).mean() == pytest.approx(truth.std((1, 2)).mean(), rel=0.3)
 
 
+def test_a_clipped_hole_is_not_filled_with_what_is_plain(shot: Photographed) -> None:
+    """A plain block fits any surroundings better than another part of an irregular drawing."""
+    contrast = []
+    for seed in (7, 8):
+        rng = np.random.default_rng(seed)
+        noise, where = (
+            cv2.GaussianBlur(rng.standard_normal((384, 512)).astype(np.float32), (0, 0), width)
+            for width in (2.0, 24.0)
+        )
+        drawn = torch.from_numpy(noise / noise.std() * (where > np.quantile(where, 0.4)))
+        maps = replace(shot.maps, diffuse=0.2 * (0.4 * drawn).exp().expand(3, -1, -1))
+        irregular = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+        found = np.log(_lent(irregular, _hidden(irregular), HOLE).diffuse[0])
+        contrast.append(found[116:204, 196:314].std() / np.log(maps.diffuse[0].numpy()).std())
+    assert np.mean(contrast) > 0.8
+
+
 def test_inpainting_is_deterministic(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     first, again = (_lent(shot, exemplar) for _ in range(2))
@@ -295,6 +319,14 @@ def copied_from(rows, columns):
     source = np.indices((SIZE, SIZE))
     source[:, FREE] += np.array([rows, columns])[:, None]
     return source
+
+
+def test_finer_maps_are_copied_from_the_same_places():
+    fine = np.random.default_rng(9).standard_normal((2, 3 * SIZE, 2 * SIZE)).astype(np.float32)
+    read = Copies(copied_from(-16, 8), FREE).read(fine)
+    free = FREE.repeat(3, axis=0).repeat(2, axis=1)
+    assert np.array_equal(read[:, free], np.roll(fine, (48, -16), axis=(1, 2))[:, free])
+    assert np.array_equal(read[:, ~free], fine[:, ~free])
 
 
 def test_a_copy_from_one_period_away_is_exact():
