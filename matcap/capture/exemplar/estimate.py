@@ -224,7 +224,7 @@ def refined(
             observed, scaled_to_spectrum(observed, prediction, spectrum)
         )
     with clock.stage("refine"):
-        prediction = refine_maps(observed, prediction)
+        prediction = refine_maps(observed, prediction, spectrum)
     return observed, prediction, spectrum
 
 

@@ -22,6 +22,7 @@ from matcap.capture.exemplar.refine import (
     scaled_by_glints,
     with_photographed_mean,
 )
+from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, slope_spectrum
 from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.settings import CaptureClock
 from matcap.files.color import srgb_decode
@@ -248,6 +249,33 @@ def factor(albedo: float, roughness: float, strength: float) -> float:
 @pytest.mark.parametrize("strength", [0.3, 1.0, 1.5])
 def test_relief_gets_the_strength_of_the_glints(strength: float) -> None:
     assert factor(0.003, 0.5, strength) == pytest.approx(1.0 / strength, rel=0.25)
+
+
+def test_texture_that_differs_in_the_highlight_is_no_steep_relief() -> None:
+    """The middle of a worn board is scratched; its relief is as steep as the whole picture says."""
+    linear, light, truth = scene(0.02, 0.5)
+    guess = replace(truth, height=0.5 * truth.height)
+    scratched = linear.mean(0) > linear.mean(0).quantile(0.9)
+    noise = torch.from_numpy(np.random.default_rng(2).normal(size=(HEIGHT, WIDTH))).float()
+    worn = linear * torch.where(scratched, 1.5 * noise, 0.0).exp()
+    slopes = np.square(slope_spectrum(truth.height[0].numpy()))
+    right = ReliefSpectrum(
+        albedo=0.0 * slopes,
+        slope=np.sqrt(slopes),
+        significance=1.0 + 0.0 * slopes,
+        deviation=0.3 * slopes.sum(1),
+    )
+    steep = {
+        spectrum is None: scaled_by_glints(
+            guess, worn, worn < 9.0, light, torch.full_like(linear, 1e-3), spectrum
+        )
+        .height.diff(dim=2)
+        .std()
+        / truth.height.diff(dim=2).std()
+        for spectrum in (None, right)
+    }
+    assert steep[True] > 1.25 * steep[False]
+    assert float(steep[False]) == pytest.approx(1.0, rel=0.25)
 
 
 def test_a_matte_photograph_leaves_relief_alone() -> None:
