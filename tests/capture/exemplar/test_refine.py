@@ -28,6 +28,7 @@ from matcap.capture.settings import CaptureClock
 from matcap.files.color import srgb_decode
 from matcap.flash.light import render_flash
 from matcap.flash.rectify import plane_of
+from matcap.photo.photo import ToneCurve
 
 # Refinement by re-rendering.
 
@@ -322,6 +323,14 @@ def test_a_channel_of_one_code_is_noise_and_a_bright_one_is_not():
     assert noise[0] == pytest.approx(1.0, abs=1e-3)
     assert 0.02 < noise[1] < 0.05
     assert noise[2] < 0.015
+
+
+@pytest.mark.parametrize("code", [3.0, 40.0, 220.0])
+def test_a_code_is_worth_what_the_undone_tone_curve_makes_of_it(code):
+    tone = ToneCurve(1.3, 0.5)
+    log = np.log(tone.linear(srgb_decode(np.array([code - 0.5, code, code + 0.5]) / 255.0)))
+    noise = channel_noise(_plane((float(np.exp(log[1])),) * 3, developed=True), tone)
+    assert float(noise.mean()) == pytest.approx(log[2] - log[0], rel=0.1)
 
 
 def test_numbers_that_were_not_rounded_have_none():
