@@ -57,12 +57,13 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     rectified = Rectified.of(photo.linearised(coarse.tone), coarse, max(photo.pixels.shape))
 
     observed, predicted = prior(Observation.of(rectified.network_input, coarse))
-    predicted = scaled_to_spectrum(observed, predicted, measured_spectrum(observed, predicted))
+    spectrum = measured_spectrum(observed, predicted)
+    predicted = scaled_to_spectrum(observed, predicted, spectrum)
     observed, predicted = classified(observed, predicted)  # dielectric, metal, or both
-    predicted = refine_maps(observed, predicted)  # until they re-render to the photograph
+    predicted = refine_maps(observed, predicted, spectrum)  # until they re-render to it
 
-    exemplar = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
-    exemplar = transfer_detail(exemplar, rectified.whole, coarse)
+    exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
+    exemplar = transfer_detail(exemplar, rectified.whole, coarse, copies)
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
     exemplar = scaled(exemplar, scale).rounded()
     whole = rectified.whole  # fields show nothing from outside of the photograph's frame

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from exemplars import an_example, exemplar
@@ -83,6 +84,17 @@ def test_relief_with_a_trend_of_direction_makes_no_quilt():
 def test_material_without_a_trend_has_no_penalty():
     piece = even()
     assert trend_penalty(planes_of(piece), np.ones(squares(piece), bool)).max() == 0.0
+
+
+def test_contrast_of_albedo_without_relief_may_have_a_trend():
+    piece = even()
+    noise = np.random.default_rng(8).standard_normal(piece.height.shape).astype(np.float32)
+    rising = np.linspace(0.05, 0.4, SIDES[0], dtype=np.float32)
+    albedo = (0.2 * np.exp(rising * cv2.GaussianBlur(noise[0], (0, 0), 2.0) * 7.0)).clip(0.0, 1.0)
+    drawn = replace(piece, diffuse=np.broadcast_to(albedo, piece.diffuse.shape).copy())
+    known = np.ones(squares(piece), bool)
+    flat = replace(drawn, height=0.0 * piece.height)
+    assert trend_penalty(planes_of(flat), known).max() == 0.0
 
 
 def test_a_side_with_marks_of_its_own_is_shown_as_often():

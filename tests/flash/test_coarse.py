@@ -201,6 +201,17 @@ def test_a_conductor_is_told_from_a_dielectric():
     assert paint.roughness == pytest.approx(0.35, abs=0.05)
 
 
+def test_crushed_shadows_are_no_lack_of_diffuse_light():
+    """Black leather is as black beside its highlight as steel, by the lowest codes of a JPEG."""
+    f0 = torch.tensor([0.55, 0.53, 0.5], dtype=torch.float64)[:, None, None]
+    setup = replace(a_setup(offset=(0.05, 0.08, 0.0)), vignetting=1.5)
+    steel = photograph(setup, diffuse=(1e-4,) * 3, specular=f0, roughness=0.2)
+    dark = (1.2e-3 / np.median(steel.pixels.max(-1)) * steel.pixels).astype(np.float32)
+    for pixels, conductor in ((steel.pixels, True), (dark, False)):
+        photo = replace(steel, pixels=pixels, radiometric=False)
+        assert fit_coarse(photo).conductor == conductor
+
+
 def test_what_reflects_blue_best_is_no_conductor():
     assert not fit_coarse(_even((1e-4,) * 3, (0.3, 0.4, 0.55), 0.35)).conductor
 

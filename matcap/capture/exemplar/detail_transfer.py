@@ -21,6 +21,7 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
 from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.network.network import SUBSAMPLING
 from matcap.capture.exemplar.observation import AROUND, PlaneLight
 from matcap.capture.exemplar.relief_spectrum import smoothed, spline_enlarged, split
@@ -41,13 +42,16 @@ Floats = NDArray[np.float32]
 
 
 @torch.no_grad()
-def transfer_detail(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exemplar:
+def transfer_detail(
+    exemplar: Exemplar, plane: Plane, coarse: Uniform, copies: Copies | None = None
+) -> Exemplar:
     """Enlarge an exemplar to the photograph's plane and add its finest bands.
 
     Args:
         exemplar: estimated at a lower resolution; returned unchanged if it has the plane's.
         plane: the photograph.
         coarse: its coarse fit, which has the light.
+        copies: texels that were copied from others, as their finest bands are, too.
     """
     if exemplar.size == plane.size:
         return exemplar
@@ -55,8 +59,10 @@ def transfer_detail(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exempl
     maps = _enlarged(exemplar, plane)
     noise = _Noise.of(plane, exemplar.size)
     detail = _missing_detail(light.rendered(maps)[0], plane, exemplar.size, noise)
-    relief = _relief(exemplar, detail.mean(0).numpy(), maps, light)
-    maps = replace(maps, height=maps.height + torch.from_numpy(relief)[None] * plane.texel_size)
+    relief = _relief(exemplar, detail.mean(0).numpy(), maps, light)[None]
+    relief = relief if copies is None else copies.read(relief)
+    maps = replace(maps, height=maps.height + torch.from_numpy(relief) * plane.texel_size)
+    enlarged = maps.diffuse
     log, share = light.rendered(maps)
     for _ in range(_ROUNDS):
         more = _missing_detail(log, plane, exemplar.size, noise)
@@ -67,6 +73,9 @@ def transfer_detail(exemplar: Exemplar, plane: Plane, coarse: Uniform) -> Exempl
         share *= ratio.div_(brighter)
         log += brighter.log_()
         maps = replace(maps, diffuse=diffuse)
+    if copies is not None:
+        drawn = torch.from_numpy(copies.read((maps.diffuse / enlarged).numpy()))
+        maps = replace(maps, diffuse=enlarged * drawn)
     # Contrast added to log albedo raises the mean; an area's albedo is the mean of its texels'.
     mean = torch.from_numpy(exemplar.diffuse.mean((1, 2), keepdims=True))
     diffuse = maps.diffuse.mul_(mean / maps.diffuse.mean((1, 2), keepdim=True))

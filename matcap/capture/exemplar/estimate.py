@@ -177,8 +177,8 @@ def estimate_exemplar(
     whole, coarse = rectified.whole, rectified.coarse
     observed, prediction, spectrum = refined(rectified.network_input, coarse, network, clock)
     with clock.stage("inpaint"):
-        exemplar = inpainted(exemplar_of(observed, prediction), observed)
-        exemplar = transfer_detail(exemplar, whole, coarse)
+        exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
+        exemplar = transfer_detail(exemplar, whole, coarse, copies)
         known = known or KnownMeans()
         scale = known.scale(exemplar, prediction.metal)
         exemplar = known.rougher(scaled(exemplar, scale)).rounded()
@@ -224,7 +224,7 @@ def refined(
             observed, scaled_to_spectrum(observed, prediction, spectrum)
         )
     with clock.stage("refine"):
-        prediction = refine_maps(observed, prediction)
+        prediction = refine_maps(observed, prediction, spectrum)
     return observed, prediction, spectrum
 
 

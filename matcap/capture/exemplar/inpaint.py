@@ -6,6 +6,8 @@ stationary, so maps are copied there from visible places, in three steps:
 1. remaining_highlight: texels whose albedo still has the highlight lose their confidence;
 2. transport: blocks with too little confidence get the maps of others [aittala2015];
 3. composed: all maps are joined to their surroundings without steps [perez2003].
+
+Finer detail, which is added to the maps later, is copied from the same places (Copies).
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from matcap.brdf.cook_torrance import Reflectance
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
+from matcap.example.straighten import least_cut
 from matcap.field.source import one_thread
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
@@ -49,6 +52,8 @@ _MOST_ENERGY, _VISIBLE_SHARE = 2.0, 0.5
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
+_PLAIN = 0.5  # variance to which that of both sides of an overlap is added
+_CUT = 0.25  # cost of a texel of a cut's length, as a squared standardised difference
 _SEAM_REACH = _BLOCK / 2.0  # texels over which the two sides of a seam converge
 _TOLERANCE = 1e-3  # norm of the residual over that at the start, at which the iterations end
 
@@ -67,13 +72,42 @@ TexelMask = NDArray[np.bool_]
 BlockPlaces = NDArray[np.int64]
 
 
-def inpainted(exemplar: Exemplar, observed: Observation) -> Exemplar:
+@dataclass(frozen=True)
+class Copies:
+    """Texels that are copied from others."""
+
+    source: BlockPlaces
+    """(2, H, W) row and column that each texel is copied from; its own where it is not."""
+    copied: TexelMask
+    """(H, W)."""
+
+    def read(self, planes: Floats) -> Floats:
+        """Planes (C, h, w) of the same rectangle on another grid, copied likewise."""
+        size = planes.shape[:0:-1]
+        at = np.nonzero(
+            cv2.resize(self.copied.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+        )
+        source = []
+        for axis, line in enumerate(at):
+            steps = (self.source - np.indices(self.copied.shape))[axis].astype(np.float32)
+            longer = planes.shape[1 + axis] / steps.shape[axis]
+            moved = np.rint(longer * cv2.resize(steps, size, interpolation=cv2.INTER_NEAREST)[at])
+            source.append((line + moved.astype(np.int64)).clip(0, planes.shape[1 + axis] - 1))
+        copied = planes.copy()
+        copied[:, *at] = planes[:, *source]
+        return copied
+
+
+def inpainted(exemplar: Exemplar, observed: Observation) -> tuple[Exemplar, Copies | None]:
     """Inpaint an exemplar where specular light hides its maps, or is left in its albedo.
 
     Args:
         exemplar: estimated maps and their confidence, which also falls to 0 in the highlight's
             remainder.
         observed: its photograph.
+
+    Returns:
+        The exemplar, and what it is copied from; None if nothing is.
     """
     plane = observed.plane
     distance = (observed.from_mirror_point / plane.texel_size).numpy()
@@ -102,7 +136,7 @@ def transport(
     valid: Tensor,
     kept: Tensor,
     light: PhotographLight,
-) -> Exemplar:
+) -> tuple[Exemplar, Copies | None]:
     """Copy blocks of maps to where specular light hides them (reflectance transport).
 
     A block minimises its mismatch with neighbours in the overlap plus that of its rendering in
@@ -121,7 +155,8 @@ def transport(
         light: the photograph's, at every texel.
 
     Returns:
-        The same object if no block is hidden by _WANTED_SHARE, or none can be a donor.
+        The exemplar, and what it is copied from; the same object and None if no block is hidden by
+        _WANTED_SHARE, or none can be a donor.
     """
     confidence, known = exemplar.confidence[0], kept.numpy()
     relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
@@ -131,27 +166,28 @@ def transport(
     # Texels outside of a crop are not inpainted.
     hidden = (hidden & known) | (_between(known) & ~known)
     if not len(donors):
-        return exemplar
+        return exemplar, None
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     if not places:
-        return exemplar
+        return exemplar, None
     planes = _map_planes(exemplar, ~hidden)
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, planes, ~hidden, photograph)
-    source, copied = _sources(chosen, hidden)
+    source, copied = _sources(chosen, hidden, planes.features)
     slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
     blended = composed(_blended_scale(planes.high_passed, texel), source, copied, _SEAM_REACH)
-    return replace(
+    filled = replace(
         exemplar,
         diffuse=np.where(copied, np.exp(blended[DIFFUSE]), exemplar.diffuse).clip(0.0, 1.0),
         specular=np.where(copied, np.exp(blended[SPECULAR]), exemplar.specular).clip(0.0, 1.0),
         roughness=np.where(copied, blended[ROUGHNESS], exemplar.roughness).clip(0.0, 1.0),
         height=np.where(copied, blended[HEIGHT] * texel + slow, exemplar.height),
     )
+    return filled, Copies(source, copied)
 
 
 def _blended_scale(stacked: Floats, texel: float) -> Floats:
@@ -296,39 +332,74 @@ def _discontinuity(
     seen: Floats,
     known: TexelMask,
 ) -> Floats:
-    """(N,) mean squared difference of blocks to known texels of a place, standardised."""
+    """(N,) mean squared difference of blocks to known texels of a place, over variances of both.
+
+    Without these a plain block fits anything better than another part of an irregular texture.
+    """
     here = tuple(slice(start, start + _BLOCK, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
     wide = donor.shape[1]
     texels = blocks[:, :1] * wide + blocks[:, 1:] + (rows * wide + columns)
-    difference = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
-    difference -= seen[place[0] + rows, place[1] + columns]
-    np.square(difference, out=difference)
-    np.minimum(difference, np.float32(_FARTHEST), out=difference)
-    return np.asarray(difference.mean((1, 2)), np.float32)
+    copied = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
+    shown = seen[place[0] + rows, place[1] + columns]
+    difference = np.minimum(np.square(copied - shown), np.float32(_FARTHEST)).mean((1, 2))
+    variance = copied.var(axis=1).mean(-1) + shown.var(axis=0).mean()
+    return np.asarray(difference / (variance + _PLAIN), np.float32)
 
 
 def _sources(
-    chosen: dict[tuple[int, int], tuple[int, int]], hidden: TexelMask
+    chosen: dict[tuple[int, int], tuple[int, int]], hidden: TexelMask, features: Floats
 ) -> tuple[BlockPlaces, TexelMask]:
     """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
-    In an overlap, a texel takes the block whose border is farther from it.
+    An overlap is divided where both blocks' features (H, W, C) differ least.
     """
-    texels = np.arange(_BLOCK)
-    inside = np.minimum(texels + 1, _BLOCK - texels)
-    deep = np.minimum.outer(inside, inside)
-    source, deepest = np.indices(hidden.shape), np.zeros(hidden.shape, np.int64)
+    source, copied = np.indices(hidden.shape), np.zeros(hidden.shape, np.bool_)
+    before: dict[tuple[int, int], tuple[int, int]] = {}
     for place, donor in chosen.items():
-        here = _block(place)
-        deeper = (deep > deepest[here]) & hidden[here]
-        deepest[here] = np.where(deeper, deep, deepest[here])
+        here, own = _block(place), np.ones((_BLOCK, _BLOCK), np.bool_)
+        for other, others in before.items():
+            own &= _kept_of(place, donor, other, others, features)
+        own = hidden[here] & (own | ~copied[here])
         moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
         texel = np.indices(hidden.shape)[:, *here]
-        source[:, *here] = np.where(deeper, texel + moved, source[:, *here])
-    return source, deepest > 0
+        source[:, *here] = np.where(own, texel + moved, source[:, *here])
+        copied[here] |= own
+        before[place] = donor
+    return source, copied
+
+
+def _kept_of(
+    place: tuple[int, int],
+    donor: tuple[int, int],
+    other: tuple[int, int],
+    others: tuple[int, int],
+    features: Floats,
+) -> TexelMask | bool:
+    """Texels that a block keeps beside an earlier one in its row or column of blocks [kwatra2003].
+
+    Args:
+        place, donor: corners of the block, and of what is copied to it.
+        other, others: likewise of the earlier block.
+        features: (H, W, C) by which they are compared.
+    """
+    down, right = other[0] - place[0], other[1] - place[1]
+    shift = down + right
+    wide = _BLOCK - abs(shift)
+    if (down and right) or wide < 2:
+        return True
+    mine, theirs = features[_block(donor)], features[_block(others)]
+    if down:
+        mine, theirs = mine.swapaxes(0, 1), theirs.swapaxes(0, 1)
+    if shift > 0:  # mirrored, so that the earlier one lies to the left
+        mine, theirs = mine[:, ::-1], theirs[:, ::-1]
+    difference = np.square(mine[:, :wide] - theirs[:, -wide:]).sum(-1)
+    first, _ = least_cut(difference, _CUT, closed=False)
+    kept = np.arange(_BLOCK) >= first[:, None]
+    kept = kept[:, ::-1] if shift > 0 else kept
+    return kept.T if down else kept
 
 
 def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:

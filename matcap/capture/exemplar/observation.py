@@ -154,12 +154,12 @@ class Observation:
         own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
         mirrors = ~(plane.margins.padded(own) & plane.kept)
         inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
-        bright = lit(plane.linear)
+        bright = lit(torch.from_numpy(coarse.tone.developed(plane.linear.numpy())))
         shown = (plane.measured | mirrors) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=plane.measured & bright)
         light = PhotographLight.of(coarse, points)
         return Observation(
-            plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane)
+            plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane, coarse.tone)
         )
 
     @property
@@ -211,32 +211,40 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
     return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
 
 
-def lit(linear: Tensor) -> Tensor:
-    """(H, W) bool: where the local mean of radiance (3, H, W) is above _UNLIT.
+def lit(developed: Tensor) -> Tensor:
+    """(H, W) bool: where the local mean of a picture (3, H, W) as in its file is above _UNLIT.
 
-    Radiance is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
+    It is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
     """
-    grey = linear.mean(0).clamp_max(2.0 * _UNLIT).numpy()
+    grey = developed.mean(0).clamp_max(2.0 * _UNLIT).numpy()
     return torch.from_numpy(smoothed(grey, AROUND) > _UNLIT)
 
 
-def channel_noise(plane: Plane) -> Tensor:
+def channel_noise(plane: Plane, tone: ToneCurve | None = None) -> Tensor:
     """(3, H, W) standard deviation of log radiance by sensor noise or quantisation, at most 1.
 
     Of a RAW, by its sensor model (photo/raw.py); of a developed photograph by the step of
     its 8-bit codes, which is large in dark channels. Local averages, so that it does not depend on
     a texel's own darkness.
+
+    Args:
+        plane: the photograph.
+        tone: the tone curve that was undone, or None; d log y / d log light = exponent (1 - w y).
     """
-    linear = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
+    tone = tone or ToneCurve()
+    level = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
+    slope: NDArray[np.float32] | float = 1.0
     if plane.noise is not None:
         drawn = plane.noise.square().numpy()
         deviation = np.sqrt(np.stack([smoothed(c, AROUND) for c in drawn]))
     elif plane.developed:
-        deviation = code_step(linear)
+        level = tone.developed(level)
+        deviation = code_step(level)
+        slope = tone.exponent * (1.0 - tone.shoulder * level.clip(0.0, 1.0))
     else:
         return torch.zeros_like(plane.linear)
-    share = deviation / np.maximum(linear, np.maximum(deviation, np.float32(1e-9)))
-    return torch.from_numpy(np.asarray(share, np.float32))
+    share = deviation / np.maximum(level, np.maximum(deviation, np.float32(1e-9))) / slope
+    return torch.from_numpy(np.asarray(share.clip(0.0, 1.0), np.float32))
 
 
 def channel_weights(noise: Tensor) -> Tensor:

@@ -18,7 +18,8 @@ octave b, noise subtracted, gives the factor g_b on relief:
 
 with the unknown energy A_b of log albedo, and the energy R_b of the re-rendering with constant
 albedo. The matte region yields A_b: under a glaze over a pattern, or on polished limestone, part of
-the contrast is albedo.
+the contrast is albedo. Texture differs from place to place, so g_b^2 is the most probable factor
+given this and the relief spectrum (posterior_factors): the middle of a worn board is scratched.
 
 Albedo (5): Gauss-Newton steps, by a Wiener filter. Of a residual r of log radiance a parameter with
 sensitivity a = d log L / d parameter and prior variance p, the network's expected error, gets
@@ -51,7 +52,15 @@ from matcap.capture.exemplar.mean_parameters import (
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction
-from matcap.capture.exemplar.relief_spectrum import WIDE, filled, smoothed, split
+from matcap.capture.exemplar.relief_spectrum import (
+    WIDE,
+    BandEnergies,
+    ReliefSpectrum,
+    filled,
+    posterior_factors,
+    smoothed,
+    split,
+)
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST
 
@@ -93,14 +102,22 @@ MIRRORED = 0.4
 LEAST_SHARE = 0.01  # least share of the photograph for that region
 # Share of the photograph, with the least specular fraction, in the mattest region.
 _MATTE_SHARE = 0.33
-_LEAST_FACTOR, _MOST_FACTOR = 0.5, 6.0  # limits of the factors
+_CELLS = 4  # across the picture, parts whose energies tell how much texture differs by place
 
 
-def refine_maps(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
-    """Fit mean parameters of the classes, then albedo of every texel, to the photograph."""
+def refine_maps(
+    observed: Observation, prediction: NetworkPrediction, spectrum: ReliefSpectrum | None = None
+) -> NetworkPrediction:
+    """Fit mean parameters of the classes, then albedo of every texel, to the photograph.
+
+    Args:
+        observed: the photograph.
+        prediction: its maps.
+        spectrum: measured in the photograph, or None.
+    """
     plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
     steep = scaled_by_glints(
-        fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise
+        fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise, spectrum
     )
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
     photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
@@ -394,6 +411,7 @@ def scaled_by_glints(
     measured: Tensor,
     light: PhotographLight,
     noise: Tensor,
+    spectrum: ReliefSpectrum | None = None,
 ) -> SurfaceParameters:
     """Scale each octave of relief by its factor g_b, measured in the glints (module).
 
@@ -403,6 +421,7 @@ def scaled_by_glints(
         measured: (3, H, W) bool: not clipped.
         light: the photograph's own.
         noise: (3, H, W) standard deviation of log radiance.
+        spectrum: measured in the photograph, or None.
     """
     _, diffuse_share = light.rendered(light.maps(residuals))
     around = max(linear.shape) / WIDE
@@ -417,40 +436,45 @@ def scaled_by_glints(
     rendered = light.rendered(maps)[0].mean(0).numpy()
     photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()
-    glossy, dull = (_denoised_energies(photograph, variance, r, around) for r in (region, matte))
+    squares = [_squared_bands(photograph, r, around) for r in (region, matte)]
     diluted = np.square(1.0 - specular_fraction).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
-    whole = _energies(rendered, region, around)
+    glossy = _denoised(squares[0][:, region].mean(1), float(variance[region].mean()))
+    dull = share * _denoised(squares[1][:, matte].mean(1), float(variance[matte].mean()))
+    whole, flat = (_squared_bands(rendered, r, around)[:, r].mean(1) for r in (region, matte))
     # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
-    relief = (whole - share * _energies(rendered, matte, around)).clip(0.5 * whole)
-    excess = (glossy - share * dull).clip(0.0)
-    gains = np.sqrt(excess / relief.clip(1e-12)).clip(_LEAST_FACTOR, _MOST_FACTOR)
-    gains[-1] = 1.0
-    bands = split(residuals.height[0].numpy())
-    height = sum(float(g) * band for g, band in zip(gains, bands, strict=True))
-    return replace(residuals, height=torch.from_numpy(np.asarray(height, np.float32))[None])
+    relief = (whole - share * flat).clip(0.5 * whole) + 1e-12
+    scatter = _scatter(squares[1], matte) / math.sqrt(max(1.0, _CELLS**2 * float(region.mean())))
+    glints = BandEnergies(relief, (glossy - dull).clip(0.0), scatter * np.hypot(glossy, dull))
+    height = residuals.height[0].numpy()
+    others = [] if spectrum is None else [BandEnergies.of(height, spectrum)]
+    gains = np.sqrt(posterior_factors(glints, *others))
+    *bands, rest = split(height)
+    steep = sum((float(g) * band for g, band in zip(gains, bands, strict=True)), rest)
+    return replace(residuals, height=torch.from_numpy(np.asarray(steep, np.float32))[None])
 
 
-def _denoised_energies(
-    log: NDArray[np.float32],
-    variance: NDArray[np.float32],
-    region: NDArray[np.bool_],
-    around: float,
-) -> NDArray[np.float64]:
-    """_energies of log radiance (H, W), less those of white noise of this variance (H, W)."""
-    energy = _energies(log, region, around)
-    # Of white noise, three quarters of the energy are in the finest octave. The last band,
-    # the low-pass remainder, has none.
-    for octave in range(len(energy) - 1):
-        energy[len(energy) - 2 - octave] -= variance[region].mean() * 0.75 * 0.25**octave
-    return energy.clip(0.0)
+def _denoised(energy: NDArray[np.float64], variance: float) -> NDArray[np.float64]:
+    """(bands,) energies of log radiance less those of white noise of a variance."""
+    # Of white noise, three quarters of the energy are in the finest octave.
+    return (energy - 0.75 * variance * 0.25 ** np.arange(len(energy))[::-1]).clip(0.0)
 
 
-def _energies(
+def _squared_bands(
     plane: NDArray[np.float32], region: NDArray[np.bool_], around: float
-) -> NDArray[np.float64]:
-    """(bands,) mean square over a region (H, W) of a plane's bands, longest first."""
+) -> NDArray[np.float32]:
+    """(bands, H, W) squares of a plane's bands over a region (H, W), longest first."""
     plane = filled(plane, region)
     plane = plane - smoothed(plane, around)
-    plane = np.where(region, plane, np.float32(0.0))
-    return np.array([np.square(band[region]).mean() for band in split(plane)], np.float64)
+    return np.square(split(np.where(region, plane, np.float32(0.0)))[:-1])
+
+
+def _scatter(squares: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(bands,) relative deviation of energies of _CELLS x _CELLS parts of a picture."""
+    rows, columns = (np.arange(side) * _CELLS // side for side in region.shape)
+    cells = (rows[:, None] * _CELLS + columns)[region]
+    counts = np.bincount(cells, minlength=_CELLS**2)
+    many = 2 * _CELLS**2 * counts > cells.size
+    energies = [np.bincount(cells, each[region], len(counts))[many] for each in squares]
+    energy = np.array(energies) / counts[many]
+    return np.asarray(energy.std(1) / energy.mean(1).clip(1e-12))

@@ -497,10 +497,12 @@ def equalise(
     with ThreadPoolExecutor() as pool:
         evened = partial(_evened, margin=margin, directions=directions)
         even = np.stack(list(pool.map(evened, bands)))
-    wanted = _wanted(height, spectrum)
+    wanted = slope_energies(height)
+    if spectrum is not None:
+        wanted = wanted * posterior_factors(BandEnergies.of(height, spectrum))
     factors: Doubles = np.ones(len(even))
     for _ in range(_SCALINGS):
-        here = _energies(_sum(factors, even))
+        here = slope_energies(_sum(factors, even))
         factors = (factors * np.sqrt(wanted / here)).clip(1.0 / _MOST_FACTOR, _MOST_FACTOR)
     return _sum(factors, even)
 
@@ -563,40 +565,51 @@ def _directions(shape: tuple[int, ...]) -> list[tuple[float, Height]]:
     return directions
 
 
-def _energies(height: Height) -> Doubles:
+def slope_energies(height: Height) -> Doubles:
     """(len(BANDS),) mean squared slopes of a height (H, W) in texels."""
     return np.square(slope_spectrum(height)).sum(1).clip(_LEAST_SLOPE**2)
 
 
-def _wanted(height: Height, spectrum: ReliefSpectrum | None) -> Doubles:
-    """(len(BANDS),) posterior slope energies (posterior_energies)."""
-    predicted = _energies(height)
-    if spectrum is None:
-        return predicted
-    return posterior_energies(predicted, np.square(spectrum.slope).sum(1), spectrum.deviation)
+@dataclass(frozen=True)
+class BandEnergies:
+    """Energies of relief by band that are predicted, and their measurement."""
+
+    predicted: Doubles
+    """(bands,), positive."""
+    measured: Doubles
+    """(bands,), not negative."""
+    deviation: Doubles
+    """(bands,) standard deviations of `measured`."""
+
+    @staticmethod
+    def of(height: Height, spectrum: ReliefSpectrum) -> BandEnergies:
+        """Squared slopes of a height (H, W) in texels, and those measured in the photograph."""
+        return BandEnergies(
+            slope_energies(height), np.square(spectrum.slope).sum(1), spectrum.deviation
+        )
 
 
-def posterior_energies(predicted: Doubles, measured: Doubles, deviation: Doubles) -> Doubles:
-    """(bands,) squared slopes: MAP estimate from a prediction and a measurement of each band.
+def posterior_factors(*energies: BandEnergies) -> Doubles:
+    """(bands,) factors on squared slopes: MAP estimate from a prediction and its measurements.
 
-    With p_b the network's energy of band b, m_b and d_b the measured one and its deviation,
+    With p_ib the predicted energy of band b, m_ib and d_ib the i-th measurement and its deviation,
 
-        minimise  sum_b ((p_b e^{x_b} - m_b) / d_b)^2 + sum_b (x_b - c)^2 + c^2
+        minimise  sum_ib ((p_ib e^{x_b} - m_ib) / d_ib)^2 + sum_b (x_b - c)^2 + c^2
 
     over the log factors x_b of each band and c common to all, by which the network shrinks
     uncertain relief. Well-measured bands take the measurement; bands measured as zero shrink by the
     inverse of its variance; bands without a measurement follow c.
-
-    Args:
-        predicted: (bands,) squared slopes of the network's relief, positive.
-        measured: (bands,) by the photograph, not negative.
-        deviation: (bands,) standard deviations of `measured`.
     """
     logs = np.arange(-_MOST_LOG, _MOST_LOG + _POSTERIOR_STEP / 2.0, _POSTERIOR_STEP)
-    scatter = deviation[:, None] + _LEAST_SLOPE**2
-    off = np.square((predicted[:, None] * np.exp(logs) - measured[:, None]) / scatter)
+    off = sum(
+        np.square(
+            (each.predicted[:, None] * np.exp(logs) - each.measured[:, None])
+            / (each.deviation[:, None] + _LEAST_SLOPE**2)
+        )
+        for each in energies
+    )
     # (common, band, own): c, b and x_b of the docstring.
     price = np.square(logs - logs[:, None])[:, None, :] + off
     best = price.argmin(-1)
     total = price.min(-1).sum(1) + np.square(logs)
-    return np.asarray(predicted * np.exp(logs[best[total.argmin()]]))
+    return np.asarray(np.exp(logs[best[total.argmin()]]))

@@ -289,7 +289,8 @@ def _inpainted(
     prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
     if estimate.basis is not None:
         return exemplar_of(observed, prediction)
-    return inpainted(exemplar_of(observed, fitted_to_highlight(observed, prediction)), observed)
+    exemplar = exemplar_of(observed, fitted_to_highlight(observed, prediction))
+    return inpainted(exemplar, observed)[0]
 
 
 def _indexed(

@@ -7,7 +7,8 @@ A flat, uniform material under a flash (cells.py) is fitted to the photograph's 
 roughness, flash intensity and offset, tilt, and the falloff of lens and flash.
 
 Two hypotheses are fitted, a dielectric and a conductor (problem.py). The conductor is chosen if
-its cost, priors included, is lower by _CONDUCTOR_ODDS nats, and it is neither bluish nor rough.
+its cost, priors included, is lower by _CONDUCTOR_ODDS nats, and it is neither bluish nor rough,
+and most of a developed picture is above its lowest codes, which show no diffuse light.
 
 One photograph leaves ambiguities: flash intensity and albedo, tilt and flash offset, and falloff
 and the contrast of a tone curve (photo/photo.py). Weak priors resolve them. The highlight's centre
@@ -63,6 +64,9 @@ _PRIOR_SHARE = 0.15
 # (docs/notes/gloss.md).
 _CONDUCTOR_ODDS = 12.0
 _BLUEST = 0.1  # largest log ratio of a metal's F0 in blue to red
+# Radiance of the fifth code of 8 bits, and the largest share of a developed picture below it: what
+# crushed shadows hide may be diffuse (black leather 0234: 0.66; metals at most 0.01).
+_CRUSHED, _MOST_CRUSHED = 1.5e-3, 0.5
 _DULLEST = 0.8  # largest roughness of a metal, as a photograph without highlight shows none
 
 # Starting points.
@@ -124,8 +128,10 @@ def fit_coarse(
         for conductor in (False, True)
     )
     chosen, dielectric_cost, _ = _fitted(photo, fine, share, dielectric)
+    crushed = float((photo.pixels.max(-1) < _CRUSHED).mean())
+    undecided = known_metal is None and (photo.radiometric or crushed <= _MOST_CRUSHED)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
-    if known_metal or (known_metal is None and metal.least_cost <= dielectric.least_cost):
+    if known_metal or (undecided and metal.least_cost <= dielectric.least_cost):
         conductor, cost, nat = _fitted(photo, fine, share, metal)
         red, _, blue = conductor.diffuse
         is_metal = (

@@ -14,6 +14,7 @@ from photographed import photographed
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
 from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.relief_spectrum import spline_enlarged
 from matcap.capture.rectified import network_input
 from matcap.capture.settings import DETAIL
@@ -149,6 +150,25 @@ def test_clipped_texels_are_not_darkened(shot) -> None:
     found = map_set_of(transfer_detail(_halved(shot.maps), plane, shot.uniform))
     ratio = (found.diffuse / shot.maps.diffuse)[~measured]
     assert float(ratio.log().mean()) > -0.1
+
+
+def test_what_is_copied_from_elsewhere_has_the_detail_of_there(shot) -> None:
+    """Under a clipped highlight no detail is seen; blocks are copied there."""
+    hole, free = (slice(120, 240), slice(160, 360)), np.zeros((192, 256), np.bool_)
+    free[60:120, 80:180] = True
+    source = np.indices(free.shape)
+    source[1, free] += 70
+    measured = torch.ones(384, 512, dtype=torch.bool)
+    measured[hole] = False
+    linear = torch.where(measured, shot.linear, 0.9 * float(shot.linear.min()))
+    plane = replace(plane_of(linear, measured), channels=measured.expand(3, -1, -1))
+    found = transfer_detail(_halved(shot.maps), plane, shot.uniform, Copies(source, free)).diffuse
+    whole = transfer_detail(_halved(shot.maps), _plane(shot.linear), shot.uniform).diffuse
+    fine = [
+        np.log(each) - cv2.GaussianBlur(np.log(each), (0, 0), 2.0) for each in (found[0], whole[0])
+    ]
+    drawn, true = fine[0][hole], fine[1][120:240, 300:500]
+    assert float(np.corrcoef(drawn.ravel(), true.ravel())[0, 1]) > 0.6
 
 
 def test_coarse_textures_are_predicted_at_half_resolution_and_lattices_at_full() -> None:

@@ -10,7 +10,14 @@ import pytest
 import torch
 from photographed import SETUP, Photographed, photographed
 
-from matcap.capture.exemplar.inpaint import composed, inpainted, remaining_highlight, transport
+from matcap.capture.exemplar.inpaint import (
+    Copies,
+    _kept_of,
+    composed,
+    inpainted,
+    remaining_highlight,
+    transport,
+)
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import exemplar_of, predict_maps
@@ -121,7 +128,8 @@ def test_a_spot_in_albedo_is_inpainted():
     white = residuals.diffuse + 0.8 * torch.from_numpy(disc)
     spotted = replace(prediction, residuals=replace(residuals, diffuse=white))
     plain, found = (
-        inpainted(exemplar_of(observed, each), observed).diffuse for each in (prediction, spotted)
+        inpainted(exemplar_of(observed, each), observed)[0].diffuse
+        for each in (prediction, spotted)
     )
     inside = np.log(found[:, disc]).mean() - np.log(found[:, ~disc]).mean()
     before = np.log(plain[:, disc]).mean() - np.log(plain[:, ~disc]).mean()
@@ -152,7 +160,7 @@ def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) 
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:
         valid[hole] = False
-    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)[0]
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:
@@ -230,6 +238,23 @@ def test_a_unique_pattern_is_inpainted_too(shot: Photographed) -> None:
     assert hole.std((1, 2)).mean() == pytest.approx(truth.std((1, 2)).mean(), rel=0.3)
 
 
+def test_a_clipped_hole_is_not_filled_with_what_is_plain(shot: Photographed) -> None:
+    """A plain block fits any surroundings better than another part of an irregular drawing."""
+    contrast = []
+    for seed in (7, 8):
+        rng = np.random.default_rng(seed)
+        noise, where = (
+            cv2.GaussianBlur(rng.standard_normal((384, 512)).astype(np.float32), (0, 0), width)
+            for width in (2.0, 24.0)
+        )
+        drawn = torch.from_numpy(noise / noise.std() * (where > np.quantile(where, 0.4)))
+        maps = replace(shot.maps, diffuse=0.2 * (0.4 * drawn).exp().expand(3, -1, -1))
+        irregular = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+        found = np.log(_lent(irregular, _hidden(irregular), HOLE).diffuse[0])
+        contrast.append(found[116:204, 196:314].std() / np.log(maps.diffuse[0].numpy()).std())
+    assert np.mean(contrast) > 0.8
+
+
 def test_inpainting_is_deterministic(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     first, again = (_lent(shot, exemplar) for _ in range(2))
@@ -282,6 +307,30 @@ def test_blocks_leave_no_steps_in_roughness(shot: Photographed) -> None:
     assert steps < 0.03
 
 
+@pytest.mark.parametrize(("down", "right"), [(0, 36), (0, -36), (36, 0), (-36, 0)])
+def test_blocks_are_cut_where_they_are_alike(down: int, right: int) -> None:
+    """Two blocks differ in all of their overlap but along a wave."""
+    wave = 5 + np.rint(3.0 * np.sin(np.arange(48) / 5.0)).astype(int)
+    wave += 36 if down + right > 0 else 0
+    columns = np.arange(48)
+    like = (columns == wave[:, None]) | (columns == wave[:, None] - 1)
+    ours = columns < wave[:, None] if down + right > 0 else columns >= wave[:, None]
+    drawn = np.random.default_rng(3).standard_normal((48, 48, 1)).astype(np.float32)
+    features = np.zeros((48, 200, 1), np.float32)
+    features[:, :48] = drawn
+    features[:, 84:132] = np.where((like.T if down else like)[..., None], drawn, drawn + 9.0)
+    if down:
+        features = np.concatenate([np.zeros_like(features), features, np.zeros_like(features)])
+    kept = _kept_of(
+        (60, 60),
+        (48 * bool(down), 0),
+        (60 + down, 60 + right),
+        (48 * bool(down) + down, 84 + right),
+        features,
+    )
+    assert np.array_equal(kept, ours.T if down else ours)
+
+
 # Copied texels meet without steps, and keep what they draw.
 
 
@@ -295,6 +344,14 @@ def copied_from(rows, columns):
     source = np.indices((SIZE, SIZE))
     source[:, FREE] += np.array([rows, columns])[:, None]
     return source
+
+
+def test_finer_maps_are_copied_from_the_same_places():
+    fine = np.random.default_rng(9).standard_normal((2, 3 * SIZE, 2 * SIZE)).astype(np.float32)
+    read = Copies(copied_from(-16, 8), FREE).read(fine)
+    free = FREE.repeat(3, axis=0).repeat(2, axis=1)
+    assert np.array_equal(read[:, free], np.roll(fine, (48, -16), axis=(1, 2))[:, free])
+    assert np.array_equal(read[:, ~free], fine[:, ~free])
 
 
 def test_a_copy_from_one_period_away_is_exact():

@@ -22,11 +22,13 @@ from matcap.capture.exemplar.refine import (
     scaled_by_glints,
     with_photographed_mean,
 )
+from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, slope_spectrum
 from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.settings import CaptureClock
 from matcap.files.color import srgb_decode
 from matcap.flash.light import render_flash
 from matcap.flash.rectify import plane_of
+from matcap.photo.photo import ToneCurve
 
 # Refinement by re-rendering.
 
@@ -250,6 +252,33 @@ def test_relief_gets_the_strength_of_the_glints(strength: float) -> None:
     assert factor(0.003, 0.5, strength) == pytest.approx(1.0 / strength, rel=0.25)
 
 
+def test_texture_that_differs_in_the_highlight_is_no_steep_relief() -> None:
+    """The middle of a worn board is scratched; its relief is as steep as the whole picture says."""
+    linear, light, truth = scene(0.02, 0.5)
+    guess = replace(truth, height=0.5 * truth.height)
+    scratched = linear.mean(0) > linear.mean(0).quantile(0.9)
+    noise = torch.from_numpy(np.random.default_rng(2).normal(size=(HEIGHT, WIDTH))).float()
+    worn = linear * torch.where(scratched, 1.5 * noise, 0.0).exp()
+    slopes = np.square(slope_spectrum(truth.height[0].numpy()))
+    right = ReliefSpectrum(
+        albedo=0.0 * slopes,
+        slope=np.sqrt(slopes),
+        significance=1.0 + 0.0 * slopes,
+        deviation=0.3 * slopes.sum(1),
+    )
+    steep = {
+        spectrum is None: scaled_by_glints(
+            guess, worn, worn < 9.0, light, torch.full_like(linear, 1e-3), spectrum
+        )
+        .height.diff(dim=2)
+        .std()
+        / truth.height.diff(dim=2).std()
+        for spectrum in (None, right)
+    }
+    assert steep[True] > 1.25 * steep[False]
+    assert float(steep[False]) == pytest.approx(1.0, rel=0.25)
+
+
 def test_a_matte_photograph_leaves_relief_alone() -> None:
     assert factor(0.5, 0.9, 0.3) == 1.0
 
@@ -294,6 +323,14 @@ def test_a_channel_of_one_code_is_noise_and_a_bright_one_is_not():
     assert noise[0] == pytest.approx(1.0, abs=1e-3)
     assert 0.02 < noise[1] < 0.05
     assert noise[2] < 0.015
+
+
+@pytest.mark.parametrize("code", [3.0, 40.0, 220.0])
+def test_a_code_is_worth_what_the_undone_tone_curve_makes_of_it(code):
+    tone = ToneCurve(1.3, 0.5)
+    log = np.log(tone.linear(srgb_decode(np.array([code - 0.5, code, code + 0.5]) / 255.0)))
+    noise = channel_noise(_plane((float(np.exp(log[1])),) * 3, developed=True), tone)
+    assert float(noise.mean()) == pytest.approx(log[2] - log[0], rel=0.1)
 
 
 def test_numbers_that_were_not_rounded_have_none():
