@@ -3,7 +3,7 @@
 The material's block: panels (photograph, re-rendering, another light, maps) and a row of crops at
 one pixel per texel. The exemplar's block: the same of the photographed rectangle, with crops at the
 same place. Of several photographs: a diagram of cameras and flashes, and a block of the whole
-exemplar if it extends beyond the first photograph.
+exemplar if it extends beyond the first photograph; and each photograph's prediction by the others.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         ]
         several = result.several
         if several is not None:
-            from matcap.capture.multiview.set_report import draw_set
+            from matcap.capture.multiview.set_report import draw_foretold, draw_set
 
             maps = map_set_of(result.estimate.exemplar)
             if several.mosaic.margins.any:
@@ -157,6 +157,10 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             landscape = np.ascontiguousarray(np.rot90(seen)) if result.estimate.turned else seen
             drawn = draw_set(several, landscape, blocks[0].width)
             blocks.append(titled(drawn, "Cameras and flashes"))
+            if several.pictures:
+                turned = result.estimate.turned
+                drawn = draw_foretold(several, blocks[0].width, turned=turned)
+                blocks.append(titled(drawn, "Each photograph, foretold by the others"))
     blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.multiview.align import Aligned
@@ -25,7 +26,10 @@ from matcap.capture.multiview.texels import (
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
+from matcap.files.color import srgb_picture
+from matcap.flash.rectify import picture_of
 from matcap.photo.checks import CHECKS
+from matcap.photo.photo import standing
 
 # Leave-one-out error of a set: each photograph predicted from all the others.
 #
@@ -41,6 +45,21 @@ _ROUNDS, _WITHOUT = (2, 1), (1,)
 _SAMPLED = 1500
 
 
+class Foretold(NamedTuple):
+    """A photograph and its rendering by maps of others, linear, (H, W, 3); 0 where not seen."""
+
+    number: int
+    """Of the photograph, from 1."""
+    photographed: NDArray[np.float32]
+    rendered: NDArray[np.float32]
+
+    @staticmethod
+    def of(number: int, view: ResampledView, rendered: Tensor) -> Foretold:
+        """From log radiance (3, H, W)."""
+        both = (picture_of(view.seen * log.exp()) for log in (view.log, rendered))
+        return Foretold(number, *both)
+
+
 class LeaveOneOut(NamedTuple):
     """Medians of |log radiance of photograph - rendering| for each photograph, on one coarse grid.
 
@@ -53,6 +72,8 @@ class LeaveOneOut(NamedTuple):
     """Of maps estimated from all."""
     by_first: tuple[float, ...]
     """Of maps estimated from the first photograph alone; () as by_others."""
+    pictures: tuple[Foretold, ...] = ()
+    """Of each photograph with flash, as maps of the others foretell it."""
 
     @property
     def kept_first(self) -> tuple[float, float] | None:
@@ -96,22 +117,26 @@ def leave_one_out(
     light = solved.light.of_some(range(len(views)))
     by_all = solve(views, small, light, rounds=_ROUNDS, sampled=_SAMPLED)
     by_others, by_first = [math.nan] * len(views), [math.nan] * len(views)
-    residuals = list(solved.residual)
+    residuals, pictures = list(solved.residual), []
     for left_out in lit:
         kept = [number for number in range(len(views)) if number != left_out]
         some, light = [views[number] for number in kept], by_all.light.of_some(kept)
         without = solve(some, small, light, by_all, rounds=_WITHOUT, sampled=_SAMPLED)
-        by_others[left_out] = left_out_residual(views[left_out], without.maps, without.light)
-        by_first[left_out] = left_out_residual(views[left_out], own.maps, begun)
-        residual = left_out_residual(views[left_out], by_all.maps, by_all.light)
+        by_others[left_out], foretold = left_out_residual(
+            views[left_out], without.maps, without.light
+        )
+        pictures.append(Foretold.of(left_out + 1, views[left_out], foretold))
+        by_first[left_out], _ = left_out_residual(views[left_out], own.maps, begun)
+        residual, _ = left_out_residual(views[left_out], by_all.maps, by_all.light)
         residuals[left_out] = residuals[left_out] if math.isnan(residual) else residual
-    return LeaveOneOut(tuple(by_others), tuple(residuals), tuple(by_first))
+    return LeaveOneOut(tuple(by_others), tuple(residuals), tuple(by_first), tuple(pictures))
 
 
-def left_out_residual(view: ResampledView, maps: MapSet, light: SharedLight) -> float:
-    """Median absolute residual of log radiance of a photograph not used for the maps.
-
-    Each channel's gain is fitted to it first. NaN without valid texels.
+def left_out_residual(
+    view: ResampledView, maps: MapSet, light: SharedLight
+) -> tuple[float, Tensor]:
+    """Median absolute residual of log radiance of a photograph not used for the maps, NaN without
+    valid texels; and its rendering, (3, H, W) log radiance, each channel's gain fitted.
     """
     points = points_of(view.log.shape[-2:], extent=view.extent)
     lit = light_at(0, view, replace(light, gain=torch.zeros(1, 3)), points)
@@ -122,7 +147,8 @@ def left_out_residual(view: ResampledView, maps: MapSet, light: SharedLight) -> 
         if valid.numel():
             residual[channel] -= valid.median()
     valid = residual[view.seen]
-    return float(valid.abs().median()) if valid.numel() else math.nan
+    error = float(valid.abs().median()) if valid.numel() else math.nan
+    return error, view.log - residual
 
 
 # Report on several photographs of one sample: cameras, residuals, measured shares.
@@ -149,6 +175,8 @@ class SetReport:
     """Extent of the maps; without margins, the first photograph's rectangle."""
     basis: SharedMaterials | None = None
     """Materials that the texels share; None if all are one."""
+    pictures: tuple[Foretold, ...] = ()
+    """Photographs as the others foretell them; empty if not computed."""
     kept_first: tuple[float, float] | None = None
     """Set if the result is that of the first photograph: residuals of all others predicted by each
     other and by the first, means."""
@@ -172,6 +200,7 @@ class SetReport:
             (x, y, 0.0),
             mosaic,
             solved.estimate.basis,
+            checked.pictures,
             None if mosaic.margins.any else checked.kept_first,
         )
 
@@ -244,6 +273,7 @@ _CAMERAS: tuple[CodeTriple, ...] = (
 _ROUND, _SPARK = 11, 4  # radii of the symbols of a camera and a flash, pixels
 _MARGIN = 0.12  # around the diagram, as a share of its size
 _LINE = 24  # height of a line of text, pixels
+_TRIPLES = 3  # predictions of photographs side by side
 
 
 @dataclass(frozen=True)
@@ -307,6 +337,44 @@ def draw_set(report: SetReport, exemplar: NDArray[np.float32], width: int) -> Im
         _text(report, width - 2 * part, tall),
     )
     return Image.fromarray(np.hstack([np.asarray(picture) for picture in parts]))
+
+
+def draw_foretold(report: SetReport, width: int, *, turned: bool) -> Image.Image:
+    """Draw each photograph, its prediction by the others, and their difference about grey.
+
+    Args:
+        report: with its pictures.
+        width: of the drawing, pixels.
+        turned: whether the photographs are shown upright, a quarter turn from the maps.
+    """
+    across = (width - _ROUND) // _TRIPLES
+    rows = []
+    for first in range(0, len(report.pictures), _TRIPLES):
+        shown = [
+            _triple(report, one, across - _ROUND, turned=turned)
+            for one in report.pictures[first : first + _TRIPLES]
+        ]
+        row = Image.new("RGB", (width, shown[0].height), _PAPER)
+        for number, picture in enumerate(shown):
+            row.paste(picture, (_ROUND + number * across, 0))
+        rows.append(np.asarray(row))
+    return Image.fromarray(np.vstack(rows))
+
+
+def _triple(report: SetReport, one: Foretold, width: int, *, turned: bool) -> Image.Image:
+    """One photograph, its prediction and the difference of codes, twofold, side by side."""
+    shown, foretold = (srgb_picture(each) for each in one[1:])
+    triple = np.stack([shown, foretold, 0.5 + 2.0 * (foretold - shown)])
+    codes = np.rint(np.clip(triple, 0.0, 1.0) * 255.0).astype(np.uint8)
+    pictures = [standing(each) if turned else each for each in codes]
+    tall = round(width / 3 * pictures[0].shape[0] / pictures[0].shape[1])
+    view, error = report.views[one.number - 1], report.predicted[one.number - 1]
+    label = f"{one.number} {view.photo.name}: photographed, foretold within {100.0 * error:.1f} %"
+    sheet, _ = _blank(width, tall + _LINE + _ROUND, f"{label}, difference")
+    for number, picture in enumerate(pictures):
+        part = Image.fromarray(picture).resize((width // 3 - 2, tall))
+        sheet.paste(part, (number * width // 3, _LINE))
+    return sheet
 
 
 def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:

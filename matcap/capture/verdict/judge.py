@@ -99,7 +99,8 @@ class CaptureVerdict:
             for cause in self.causes:
                 if worst.name in cause.explains:
                     return cause.says, cause.remedy
-        more = more_photographs(self.photographs)
+        repeats = any(finding.name == "order" for finding in self.findings)
+        more = more_photographs(self.photographs, repeats=repeats)
         return worst.cause or _UNDETERMINED, worst.remedy or more
 
     def document(self) -> dict[str, Any]:
@@ -123,7 +124,7 @@ class CaptureVerdict:
 
 def judge(seen: Measurements) -> CaptureVerdict:
     """Rate measurements and look for causes."""
-    more = more_photographs(seen.photographs)
+    more = more_photographs(seen.photographs, repeats=seen.order is not None)
     judged = (_placed(_explained(finding, seen, more), seen) for finding in findings(seen))
     return CaptureVerdict(tuple(judged), causes(seen.causes, more), seen.photographs)
 
@@ -212,7 +213,7 @@ def _reasons(seen: Measurements, more: str) -> Iterator[_Reason]:
 
 def findings(seen: Measurements) -> Iterator[Finding]:
     """All findings, in the order of the report."""
-    more = more_photographs(seen.photographs)
+    more = more_photographs(seen.photographs, repeats=seen.order is not None)
     yield from (seen.photograph[key] for key in PHOTOGRAPHED)
     yield from _highlight(seen, more)
     yield CHECKS["light"].finding(seen.light, more=more)
@@ -225,12 +226,17 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield CHECKS["flash_offset"].finding(seen.offset, off=50.0 * seen.offset)
 
 
-def more_photographs(given: int) -> str:
-    """Remedy for a capture that one or more photographs do not determine well enough."""
+def more_photographs(given: int, *, repeats: bool = False) -> str:
+    """Remedy for a capture that one or more photographs do not determine well enough.
+
+    Of a pattern that `repeats` they can be registered only by what does not.
+    """
     if given < 2:
+        mark = ", with a border or a mark of the sample in each, as its pattern repeats"
         return (
             "take five photographs, one from above and one with the phone moved by a third of its "
-            "distance to each side, and give them with --together"
+            "distance to each side, so that each shows two thirds of the first"
+            f"{mark if repeats else ''}, and give them with --together"
         )
     if given < 5:
         return f"add photographs from other sides to these {given}: five measure more"

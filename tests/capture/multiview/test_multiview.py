@@ -14,7 +14,9 @@ from simulated.photographs import Hand, hold
 
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import (
+    Foretold,
     SetReport,
+    draw_foretold,
     draw_set,
     left_out_residual,
     set_report_lines,
@@ -29,6 +31,7 @@ from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.report import warnings, write_outputs
 from matcap.capture.settings import MULTIVIEW_STAGES, CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
+from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
 
 # Several photographs of one piece: cameras, places, maps, and what is said of them.
@@ -73,11 +76,12 @@ def test_a_photograph_is_predicted_from_the_others():
     some = light.of_some([0, 1, 2, 4])
     kept = [views[k] for k in (0, 1, 2, 4)]
     found = _solved(kept, flattened(maps), some)
-    assert left_out_residual(views[3], found.maps, found.light) < 3.0 * max(found.residual)
-    flat = flattened(maps)
-    assert left_out_residual(views[3], flat, found.light) > 3.0 * left_out_residual(
-        views[3], found.maps, found.light
-    )
+    error, foretold = left_out_residual(views[3], found.maps, found.light)
+    assert error < 3.0 * max(found.residual)
+    off = (foretold - views[3].log)[views[3].seen].abs().median()
+    assert float(off) == pytest.approx(error)
+    flat, _ = left_out_residual(views[3], flattened(maps), found.light)
+    assert flat > 3.0 * error
 
 
 @pytest.fixture(scope="module")
@@ -282,6 +286,22 @@ def test_what_each_told_is_told():
     assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, predicted by the others within 4.0 %"
     assert said[2] == "left out: cat.jpg, it shows something else"
     assert said[3].startswith("measured, not predicted: diffuse 90 %, specular 30 %")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_photograph_is_shown_beside_its_prediction_and_their_difference(turned):
+    true, foretold = np.full((48, 64, 3), 0.2, np.float32), np.full((48, 64, 3), 0.3, np.float32)
+    result = report(pictures=(Foretold(1, true, true), Foretold(2, true, foretold)))
+    drawn = np.asarray(draw_foretold(result, 1211, turned=turned)).astype(int)
+    here = drawn[
+        100, [100, 230, 360, 500, 630, 760]
+    ]  # of either: photographed, foretold, difference
+    codes = np.rint(255.0 * srgb_picture(np.array([0.2, 0.3], np.float32)))
+    assert here[:2, 0] == pytest.approx(codes[[0, 0]], abs=1)
+    assert here[3:5, 0] == pytest.approx(codes, abs=1)
+    assert here[2, 0] == 128 and here[5, 0] == pytest.approx(
+        127.5 + 2 * (codes[1] - codes[0]), abs=2
+    )
 
 
 def test_an_interrupted_set_has_predicted_nothing():

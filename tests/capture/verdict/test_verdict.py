@@ -562,11 +562,12 @@ def test_a_usable_capture_is_told_its_largest_difference():
 
 
 def test_a_set_is_not_told_to_be_one():
-    def remedy(photographs):
-        seen = replace(FINE, light=0.5, photographs=photographs)
+    def remedy(photographs, order=None):
+        seen = replace(FINE, light=0.5, photographs=photographs, order=order)
         return judge(seen).sentence().partition("What helps: ")[2]
 
-    assert "take five photographs" in remedy(1)
+    assert "take five photographs" in remedy(1) and "two thirds" in remedy(1)
+    assert "border or a mark" in remedy(1, order=(0.9, 0.9)) and "border" not in remedy(1)
     assert "from other sides to these 3" in remedy(3)
     assert "moved further" in remedy(5) and "--together" not in remedy(5)
 
