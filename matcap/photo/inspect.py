@@ -36,6 +36,7 @@ _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a 
 # Usual differences between tiles: log contrast of a fine and of a coarser band, and two log
 # hues.
 _USUAL = (0.4, 0.6, 0.15, 0.15)
+_FLASH_TERMS = 5  # functions of the distance from the hot spot
 _TILES = 8  # along the long side
 # A picture without a material: pixels across that are too few, share of pixels equal to the next,
 # deviation of log radiance in fine texture below which there is none, difference between parts.
@@ -59,6 +60,11 @@ class Inspection:
 
     def __getitem__(self, name: str) -> Finding:
         return next(finding for finding in self.findings if finding.name == name)
+
+    def with_finding(self, finding: Finding) -> Inspection:
+        """The inspection with a finding in place of the one of its name, or at the end."""
+        known = {one.name: one for one in self.findings} | {finding.name: finding}
+        return replace(self, findings=tuple(known.values()))
 
     def document(self) -> dict[str, Any]:
         """The inspection for JSON."""
@@ -147,7 +153,8 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     """(rows, columns) difference of tiles from a uniform material, in units of _USUAL.
 
     Root sum of squares over the log contrast in two bands and two log hues, each less its
-    regression on functions of the distance from the hot spot, which is an effect of the flash.
+    regression on the flash: on hat functions of the distance from the hot spot, of hues also on
+    log luminance.
 
     Args:
         pixels: (H, W, 3) linear.
@@ -164,11 +171,14 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     ]
     rows, columns = measures[0].shape
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
-    squared = ((x + 0.5) / columns - place[0]) ** 2
-    squared += (((y + 0.5) / rows - place[1]) * pixels.shape[0] / width) ** 2
-    terms = np.stack([np.ones_like(x), squared, np.exp(-40.0 * squared)], axis=-1).reshape(-1, 3)
+    across = (x + 0.5) / columns - place[0]
+    distance = np.hypot(across, ((y + 0.5) / rows - place[1]) * pixels.shape[0] / width).ravel()
+    ends = np.linspace(0.0, distance.max(), _FLASH_TERMS)
+    rings = np.stack([np.interp(distance, ends, one) for one in np.eye(_FLASH_TERMS)], axis=1)
+    # A highlight is white: it takes colour away where it is bright, however it is shaped.
+    lit = np.concatenate([rings, _tiles(light).reshape(-1, 1)], axis=1)
     total = np.zeros_like(x)
-    for measure, usual in zip(measures, _USUAL, strict=True):
+    for measure, usual, terms in zip(measures, _USUAL, (rings, rings, lit, lit), strict=True):
         fitted = terms @ np.linalg.lstsq(terms, measure.ravel(), rcond=None)[0]
         total += ((measure - fitted.reshape(measure.shape)) / usual) ** 2
     return np.sqrt(total)
