@@ -31,6 +31,7 @@ _HOT_BLUR = 0.08  # standard deviation of the blur before the maximum is taken, 
 # the width.
 _HOT_REACH = 0.14
 _HOT_ROUNDS = 4  # iterations of that fit
+_SHARP = 1024  # most pixels across at which sharpness is measured, whatever is read
 _SHARPEST = 0.25  # quantile over tiles of the blur, as smooth parts do not show the focus
 _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a tile with detail
 # Usual differences between tiles: log contrast of a fine and of a coarser band, and two log
@@ -94,8 +95,6 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
             _sharpness(photo),
             _stationarity(photo, place),
             _radiometric(photo),
-            _shading_map(photo),
-            _gain_map(photo),
             *_reading(photo),
             *_border(photo),
         ),
@@ -259,8 +258,10 @@ def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
 
 
 def _sharpness(photo: Photo) -> Finding:
-    blur = softness(photo.pixels)
-    return CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=photo.pixels.shape[1])
+    height, width = photo.pixels.shape[:2]
+    across = min(width, _SHARP)
+    blur = softness(area_averaged(photo.pixels, (across, round(height * across / width))))
+    return CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=across)
 
 
 def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
@@ -287,28 +288,14 @@ def _radiometric(photo: Photo) -> Finding:
     return Finding("radiometric", False, Rating.NOT_JUDGED, f"{says}.", remedy)
 
 
-def _shading_map(photo: Photo) -> Finding:
-    applied = photo.gain_map_applied
-    says = "Its lens-shading map was applied." if applied else "It carries no lens-shading map."
-    return Finding("shading_map", applied, Rating.GOOD if applied else Rating.NOT_JUDGED, says)
-
-
 def _reading(photo: Photo) -> tuple[Finding, ...]:
     """Notes of reading the file, as a finding."""
-    notes = [note for note in photo.remarks if GAIN_MAP not in note]
+    notes = list(photo.remarks)
     if not notes:
         return ()
-    return (Finding("reading", notes, Rating.NOT_JUDGED, " ".join(notes)),)
-
-
-def _gain_map(photo: Photo) -> Finding:
-    notes = [note for note in photo.notes if GAIN_MAP in note]
-    if not notes:
-        return Finding("gain_map", False, Rating.GOOD, "It carries no HDR gain map.")
-    if photo.headroom > 1.0:
-        return Finding("gain_map", True, Rating.GOOD, notes[0])
-    remedy = "Give the file as the camera wrote it, or switch HDR off."
-    return Finding("gain_map", True, Rating.NOT_JUDGED, notes[0], remedy)
+    unread = photo.headroom <= 1.0 and any(GAIN_MAP in note for note in notes)
+    remedy = "Give the file as the camera wrote it, or switch HDR off." if unread else ""
+    return (Finding("reading", notes, Rating.NOT_JUDGED, " ".join(notes), remedy),)
 
 
 def _upright(photo: Photo, x: float, y: float) -> tuple[float, float]:
