@@ -416,14 +416,6 @@ _CAUSES = (
         _OF_LIGHT - {"highlight_contrast"},
     ),
     Cause(
-        "clipping by channel", "share where some channels are clipped and others are not",
-        0.0, 0.04,
-        "one or two of red, green and blue are clipped on {percent:.0f} % of the photograph, which "
-        "changes its colour there",
-        "photograph again a stop darker",
-        _OF_LIGHT | {"contrast"},
-    ),
-    Cause(
         "large features", "patch size of the field: small patches at 1, the whole exemplar at 0",
         1.0, 0.2,
         "the pattern's features are almost as large as the photograph, too large to rearrange",

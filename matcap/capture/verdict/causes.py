@@ -352,7 +352,6 @@ _BRIGHTEST = 0.7
 _STRIP = 0.06  # width of the border that represents a side, as a share of the picture's
 # Inner and outer radius, plane units, of the ring that represents the centre.
 _CENTRE_RING = (0.25, 0.5)
-_CLIP = 0.995  # of the clip level, from which a channel counts as clipped
 
 
 def measure_causes(
@@ -377,13 +376,11 @@ def measure_causes(
     # A tone curve or ambient light, whichever is stronger; of a RAW, ambient light.
     room_strength = CAUSES["room light"].strength(room)
     curved = not photo.radiometric and CAUSES["tone curve"].strength(curve) >= room_strength
-    clipped = photo.pixels >= _CLIP * photo.headroom
     return {
         "anisotropic highlight": _streak(pictures, highlights),
         "light from a side": -math.inf if uniform else side,
         "room light": 0.0 if curved else room,
         "tone curve": curve if curved else 0.0,
-        "clipping by channel": float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
         "large features": exemplar.variety,
     }
 

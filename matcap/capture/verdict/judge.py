@@ -24,7 +24,7 @@ _AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width", "highlight_r
 _IN_TEXTURE = frozenset({"texture", "contrast", "pattern", "repeat"})
 # What a fault of the photograph explains, by its check; the first is the likeliest.
 _BY_PHOTOGRAPH = {
-    "clipped": _AT_HIGHLIGHT | {"colour"},
+    "clipped": _AT_HIGHLIGHT | {"colour", "light", "contrast"},
     "sharpness": _IN_TEXTURE,
     "stationarity": _IN_TEXTURE | {"light", "colour"},
     "tilt": frozenset({"light", "texture"}),

@@ -287,7 +287,6 @@ SHOWN = {
     "light from a side": (0.2, {"light": 0.5}),
     "room light": (0.5, {"light": 0.5}),
     "tone curve": (0.3, {"colour": (0.2, 0.0, -0.25)}),
-    "clipping by channel": (0.2, shot_with("clipped", 0.2)),
     "large features": (0.1, {"order": (0.5, 0.05)}),
 }
 
@@ -410,13 +409,18 @@ ONE_FAULT = {
     "anisotropic highlight": lambda: shots.with_streak("plaster"),
     "light from a side": lambda: shots.with_lamp("plaster", 2.0),
     "room light": lambda: shots.in_a_lit_room("plaster"),
-    "clipping by channel": lambda: shots.too_red("leather"),
 }
 
 
 @pytest.mark.parametrize("fault", ONE_FAULT)
 def test_a_photograph_with_one_fault_shows_it(fault):
     assert captured(ONE_FAULT[fault]()).causes[0].name == fault
+
+
+def test_a_clipped_colour_is_explained_by_clipping():
+    """Exposed so long that red clips, and little else."""
+    verdict = captured(shots.too_red("leather"))
+    assert not verdict.fit and "is clipped" in verdict.sentence()
 
 
 def test_another_place_for_veins_is_no_other_light():
