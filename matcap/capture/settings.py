@@ -152,7 +152,7 @@ class CaptureSettings(CheckedSettings):
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
     """Time limit of the whole capture: 90s, 2m. It determines the texels instead of the preset and,
-    without --steps, the steps of a decoder; the shortest capture takes about 10 seconds."""
+    without --steps, the steps of a decoder; one that this machine cannot keep is refused."""
     detail: int | None = setting(
         None, least=64, most=8192, otherwise="the preset's", group="Advanced"
     )
