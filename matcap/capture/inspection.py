@@ -36,6 +36,7 @@ from matcap.photo.photo import FULL, Photo
 
 
 _MOSTLY = 0.25  # clipped share of a highlight from which its strength is not measured
+_CORE = 1.5  # severity of that, of the photograph: its maps may look right under the flash
 _FEWEST, _MOST = 2, 6  # stops by which another exposure is darker
 
 
@@ -71,7 +72,7 @@ def inspect_file(
     photo = load_photo(path, long_side=detail, fov=fov, noise=False, white=white)
     photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(
-        _quality(photo, coarse, plane),
+        checked(photo, coarse, plane),
         measured_spectrum(Observation.of(plane, coarse)),
         tilt_document(coarse),
     )
@@ -79,7 +80,7 @@ def inspect_file(
 
 def photograph_quality(photo: Photo) -> Inspection:
     """Checks of a photograph that was read at the resolution of its capture."""
-    return _quality(*_rectified(photo))
+    return checked(*_rectified(photo))
 
 
 def _rectified(photo: Photo) -> tuple[Photo, CoarseFit, Plane]:
@@ -90,33 +91,38 @@ def _rectified(photo: Photo) -> tuple[Photo, CoarseFit, Plane]:
     return photo, coarse, read_plane(photo, coarse.setup, photo.pixels.shape[1])
 
 
-def _quality(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
-    inspected = inspect_photo(photo, coarse.setup.tilt)
-    return replace(inspected, findings=(*inspected.findings, *_gloss(coarse, plane)))
+def checked(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
+    """Checks of a photograph with those of its highlight, as `inspect` and a capture state them.
 
-
-def _gloss(coarse: CoarseFit, plane: Plane) -> tuple[Finding, ...]:
-    """Findings on the highlight of the photograph: its contrast and the variation of its glints.
-
-    A capture's re-rendering is compared with these two.
+    A capture's re-rendering is compared with the highlight and its glints.
     """
+    offset = math.hypot(*coarse.setup.offset[:2])
+    inspected = inspect_photo(photo, coarse.setup.tilt).with_finding(
+        CHECKS["flash_offset"].finding(offset, off=50.0 * offset)
+    )
     limit = plane.encoding.limit
     picture, valid = np.minimum(picture_of(plane.linear), limit), plane.valid.numpy()
     inside = valid | (picture > FULL * limit).any(axis=2)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup, limit)
     if profile is None or not profile.glossy:
-        return (CHECKS["highlight"].finding(math.nan),)
-    contrast = profile.contrast[0]
-    bound = f", or more: {profile.clipped[0]:.0%} of the highlight is clipped"
-    highlight = CHECKS["highlight"].finding(contrast, bound=bound if profile.bound else "")
-    if profile.bound:  # what limits a capture limits the photograph
-        rating = Rating.USABLE if profile.clipped[0] > _MOSTLY else highlight.rating
-        highlight = replace(highlight, remedy=_darker(coarse, limit), rating=rating)
-    findings = [replace(highlight, value=round(contrast, 3))]
+        return inspected.with_finding(CHECKS["highlight"].finding(math.nan))
+    more = f", or more: {profile.clipped[0]:.0%} of it is clipped" if profile.bound else ""
     if profile.glints:
-        deviation = math.hypot(*(before for before, _ in profile.glints))
-        findings.append(CHECKS["glints"].finding(deviation, variation=math.expm1(deviation)))
-    return tuple(findings)
+        variation = math.expm1(math.hypot(*(before for before, _ in profile.glints)))
+        more += f"; its glints vary by {variation:.0%}"
+    inspected = inspected.with_finding(CHECKS["highlight"].finding(profile.contrast[0], more=more))
+    if profile.clipped[0] <= _MOSTLY:
+        return inspected
+    # What limits a capture limits the photograph.
+    whole, says = inspected["clipped"], f", and {profile.clipped[0]:.0%} of its highlight"
+    return inspected.with_finding(
+        replace(
+            whole,
+            says=f"{whole.says}{says}",
+            remedy=_darker(coarse, limit),
+            rating=Rating.of(max(whole.severity, _CORE)),
+        )
+    )
 
 
 def _darker(coarse: CoarseFit, limit: float) -> str:
@@ -129,8 +135,8 @@ def _darker(coarse: CoarseFit, limit: float) -> str:
     peak = float(uniform_radiance(coarse, FlashLight.of(coarse.setup, point))[0].max())
     stops = min(max(math.ceil(math.log2(max(peak / limit, 1.0)) + 0.5), _FEWEST), _MOST)
     return (
-        f"Take one more photograph {stops} stops darker from the same place, and capture both: "
-        "it measures what is clipped."
+        f"take one more photograph {stops} stops darker from the same place, and capture both: it "
+        "measures what is clipped"
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import ExemplarEstimate
+from matcap.capture.inspection import checked
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.rectified import Rectified, tilt_document
 from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, resolve
@@ -143,11 +144,14 @@ def judge_material(
         drawn = None if tuning is None else maps
         about = None
         if estimate is not None:
-            about = ExemplarMeasurements.of(estimate, rectified, material.setup, drawn)
+            about = ExemplarMeasurements.of(
+                estimate, rectified, material.setup, drawn, settings.seed
+            )
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
+        inspected = checked(photo, rectified.coarse, plane)
         measurements = measure_capture(
-            photo, setup, compared, landscape, valid, rectified.waves, about
+            photo, setup, compared, landscape, valid, rectified.waves, about, inspected
         )
         others = material.provenance.get("others", ())
         measurements = replace(measurements, photographs=1 + len(others))

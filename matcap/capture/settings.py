@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -95,8 +96,10 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 )
 # Under a time limit, so that it ends the work rather than the step count.
 UNLIMITED = Effort("standard", 800)
-# Seconds of the shortest capture, from the command's start to its end, on one idle thread.
-LEAST_TIME = 10.0
+# Seconds of the shortest capture, from the command's start to its end, on one idle thread of a
+# machine that does `slowness`'s work in _WORK seconds.
+LEAST_TIME, _WORK = 10.0, 0.08
+_EACH = 0.25  # share of that which each further photograph of a set adds
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
 
@@ -149,7 +152,7 @@ class CaptureSettings(CheckedSettings):
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
     """Time limit of the whole capture: 90s, 2m. It determines the texels instead of the preset and,
-    without --steps, the steps of a decoder; the shortest capture takes about 10 seconds."""
+    without --steps, the steps of a decoder; one that this machine cannot keep is refused."""
     detail: int | None = setting(
         None, least=64, most=8192, otherwise="the preset's", group="Advanced"
     )
@@ -336,6 +339,48 @@ class OutputSettings(CheckedSettings):
 
             room += (len(self.targets) + bool(self.maps)) * export_bytes(*self.size)
         return room
+
+
+def slowness() -> float:
+    """Wall time of a small piece of work, over that on the machine of LEAST_TIME.
+
+    2 on a machine of half the speed, or on one whose processors do something else half of the time.
+    """
+    import numpy as np
+
+    numbers = np.fft.irfft2(np.random.default_rng(0).standard_normal((512, 257)))
+    began = time.perf_counter()
+    for _ in range(8):
+        numbers = np.fft.irfft2(np.fft.rfft2(numbers))
+        numbers = np.sort(numbers, axis=0)[::-1]
+    return (time.perf_counter() - began) / _WORK
+
+
+def within_time(settings: CaptureSettings, photographs: int, slower: float) -> CaptureSettings:
+    """Settings of a capture that keeps its time limit: the detail that fits into it.
+
+    Args:
+        settings: of the user.
+        photographs: of the sample.
+        slower: `slowness` of this machine.
+
+    Raises:
+        UsageError: the limit is shorter than the shortest capture.
+    """
+    if settings.time_limit is None:
+        return settings
+    longer = slower * (1.0 + _EACH * (photographs - 1))
+    if settings.time_limit < LEAST_TIME * longer:
+        least = values.spoken_duration(math.ceil(LEAST_TIME * longer))
+        raise UsageError.at(
+            "--time",
+            f"the shortest capture takes about {least} on this machine as busy as it is now",
+            f"give {least} or more, or --preset instant",
+        )
+    if settings.detail is not None or settings.generator == "decoder":
+        return settings
+    limit = settings.time_limit / longer
+    return replace(settings, detail=next(n for least, n in TIME_FOR_DETAIL if limit >= least))
 
 
 def prior_file(prior: str) -> Path | None:

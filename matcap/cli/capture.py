@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import LEAST_TIME, CaptureSettings, OutputSettings, check_photographs
+from matcap.capture.settings import (
+    CaptureSettings,
+    OutputSettings,
+    check_photographs,
+    slowness,
+    within_time,
+)
 from matcap.cli.options import (
     NOTHING,
     SEVERAL,
@@ -26,7 +32,6 @@ from matcap.cli.options import (
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.files.names import usable_name
-from matcap.files.settings import spoken_duration
 
 if TYPE_CHECKING:
     from matcap.cli.display import CaptureDisplay
@@ -84,13 +89,12 @@ def capture(
         raise UsageError.at(
             "--together", "there is one photograph", "give two or more of one sample"
         )
+    if settings.time_limit is not None:
+        settings = within_time(settings, len(photos) if together else 1, slowness())
     jobs = _jobs([tuple(photos)] if together else find_brackets(photos, fov=settings.fov), out)
     check_writable(out, outputs.room)
     results = []
     with CaptureDisplay.open(quiet=quiet) as shown:
-        if settings.time_limit is not None and settings.time_limit < LEAST_TIME:
-            asked, least = (spoken_duration(each) for each in (settings.time_limit, LEAST_TIME))
-            shown.note(f"--time {asked}: the shortest capture takes about {least}, more when busy.")
         for job in jobs:
             # Time before the first photograph counts as the process's start.
             spent = time.process_time() if job is jobs[0] else 0.0

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from rich.console import Console
@@ -73,6 +74,25 @@ class _Shown:
     def _say(self, line: str) -> None:
         """Print a line as plain text, without markup or wrapping."""
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def working(what: str, *, quiet: bool) -> Iterator[None]:
+    """Say what a block of unknown duration does, if it takes longer than two seconds."""
+    console = Console(stderr=True)
+    if quiet:
+        yield
+    elif console.is_terminal and not console.is_dumb_terminal:
+        with console.status(what):
+            yield
+    else:
+        late = Timer(_SHORT, console.print, (f"  {what}",), {"markup": False, "highlight": False})
+        late.daemon = True
+        late.start()
+        try:
+            yield
+        finally:
+            late.cancel()
 
 
 class CaptureDisplay(_Shown):

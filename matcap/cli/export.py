@@ -58,6 +58,7 @@ def export(
 
     Warns where the target cannot represent the material. See docs/guide/export.md.
     """
+    from matcap.cli.display import working
     from matcap.errors import UsageError
     from matcap.export.job import ExportJob, known_scale, material_reach, open_set
     from matcap.export.targets import DOCUMENTS, TARGETS, export_bytes, sidecar_name, write_export
@@ -103,7 +104,8 @@ def export(
         inner, around = tiles.tile(0, 0)
         opened = OpenedMaps(inner, stem, dict(tiles.material.provenance))
     else:
-        opened = open_tile(path, read, size=size, seed=seed, piece=tile is not None)
+        with working("synthesising", quiet=quiet or json):
+            opened = open_tile(path, read, size=size, seed=seed, piece=tile is not None)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
     asked_for += f"_udim{udim}" * (udim is not None)
     asked_for += f"_{changes.file_part}" * changes.changes
@@ -127,7 +129,8 @@ def export(
         tiles,
     )
     inputs = [file for file in files_read(path) if file.name != sidecar.name]
-    done = write_export(job, target, folder, options, inputs=inputs, overwrite=overwrite)
+    with working(f"exporting to {target}", quiet=quiet or json):
+        done = write_export(job, target, folder, options, inputs=inputs, overwrite=overwrite)
     _report(done, as_json=json, quiet=quiet)
 
 

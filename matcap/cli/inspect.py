@@ -14,7 +14,7 @@ import typer
 from matcap.capture.settings import CaptureSettings, InspectSettings
 from matcap.cli.options import NOTHING, Fields, Given, JsonOption, chosen, with_settings
 from matcap.errors import ExitCode, MatcapError, UsageError
-from matcap.photo.checks import Rating
+from matcap.photo.checks import Finding, Rating
 
 if TYPE_CHECKING:
     from matcap.photo.inspect import Inspection
@@ -44,6 +44,7 @@ def inspect(
     photograph lights, and which are nearly the same. Of a material it prints its exemplar, its F0
     and its verdict.
     """
+    from matcap.cli.display import working
     from matcap.files.names import are_a_series
 
     detail, details, together = astuple(chosen(InspectSettings, given))
@@ -52,19 +53,21 @@ def inspect(
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
-    briefly = not details and len(pictures) > 1
+    several = len(pictures) > 1
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
+    seen: list[tuple[Path, Inspection, list[str]]] = []
     failures = 0
     for path in photos:
         of_material = path.suffix.lower() == ".matcap"
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
         try:
-            if of_material:
-                document, text = _material(path)
-            else:
-                document, text = _photo(path, detail, fov, white, briefly=briefly)
+            with working(f"inspecting {path.name}", quiet=as_json):
+                if of_material:
+                    document, text = _material(path)
+                else:
+                    document, quality, more = _photo(path, detail, fov, white)
         except UsageError:
             raise
         except MatcapError as error:
@@ -73,13 +76,24 @@ def inspect(
             typer.echo(f"matcap: {error}", err=True)
             continue
         documents.append({kind: str(path), **document})
-        if not as_json:
+        if not of_material:
+            text = _briefly(path, quality)
+            seen.append((path, quality, more))
+        if not as_json and (of_material or (several and not details)):
             typer.echo(text)
+    if not as_json:
+        shared = _shared([quality for _, quality, _ in seen])
+        for path, quality, more in seen if details or not several else ():
+            typer.echo("\n".join(_rated(str(path), quality, shared) + more))
+        for finding in shared:
+            if details or finding.remedy:
+                typer.echo(f"   all: {finding.line()}")
     summary: dict[str, Any] = {"photographs": photographs}
     summary |= {"materials": materials} if materials else {}
     if together if together is not None else are_a_series([path.stem for path in pictures]):
         try:
-            summary["together"], text = _set(pictures, fov)
+            with working("comparing the photographs", quiet=as_json):
+                summary["together"], text = _set(pictures, fov)
         except MatcapError as error:
             failures += 1
             summary["together"] = {"reason": str(error)}
@@ -122,22 +136,34 @@ def _briefly(path: Path, quality: Inspection) -> str:
     return f"{line}: {max(rated, key=lambda one: one.severity).line()}"
 
 
+def _shared(photographs: Sequence[Inspection]) -> list[Finding]:
+    """Findings that all of several photographs have alike, without those that are good."""
+    if len(photographs) < 2:
+        return []
+    lines = [{one.line() for one in quality.findings} for quality in photographs]
+    first = photographs[0].findings
+    return [
+        one
+        for one in first
+        if one.rating is not Rating.GOOD and all(one.line() in each for each in lines)
+    ]
+
+
 def _photo(
-    path: Path, detail: int, fov: float | None, white: float | None, *, briefly: bool
-) -> tuple[dict[str, Any], str]:
-    """Checks of a photograph, for JSON and as text."""
+    path: Path, detail: int, fov: float | None, white: float | None
+) -> tuple[dict[str, Any], Inspection, list[str]]:
+    """Checks of a photograph for JSON, and themselves, with lines of what else is measured."""
     from matcap.capture.inspection import inspect_file
     from matcap.capture.rectified import tilt_line
 
     inspected = inspect_file(path, detail, fov, white)
     quality, relief = inspected.quality, inspected.relief_spectrum
-    lines = _rated(str(path), quality)
     spectrum = relief.document() if relief else None
-    lines += [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
+    lines = [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
     if inspected.tilt is not None:
         lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
     document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
-    return document, _briefly(path, quality) if briefly else "\n".join(lines)
+    return document, quality, lines
 
 
 def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
@@ -148,9 +174,14 @@ def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]
     return quality.document(), "\n".join(_rated(f"{len(paths)} photographs together", quality))
 
 
-def _rated(name: str, quality: Inspection) -> list[str]:
-    """Lines of an inspection: its rating, and a line a finding."""
-    findings = (f"{_MARKS[f.rating.value]} {f.name:<13} {f.line()}" for f in quality.findings)
+def _rated(name: str, quality: Inspection, shared: Sequence[Finding] = ()) -> list[str]:
+    """Lines of an inspection: its rating, and a line a finding but those of all photographs."""
+    said = {one.line() for one in shared}
+    findings = (
+        f"{_MARKS[one.rating.value]} {one.name:<13} {one.line()}"
+        for one in quality.findings
+        if one.line() not in said
+    )
     return [f"{name}: {quality.rating.value}", *(f"  {finding}" for finding in findings)]
 
 
@@ -195,6 +226,6 @@ def _material(path: Path) -> tuple[dict[str, Any], str]:
         checks = verdict.get("checks", {})
         document["verdict"] = verdict
         lines.append(f"     {'verdict':<13} {verdict['sentence']}")
-        gloss = (name for name in ("highlight_contrast", "glint_contrast") if name in checks)
-        lines += [f"     {name[:-9]:<13} {checks[name]['message']}" for name in gloss]
+        if "highlight_contrast" in checks:
+            lines.append(f"     {'highlight':<13} {checks['highlight_contrast']['message']}")
     return document, "\n".join([f"{path}: {made}", *lines])

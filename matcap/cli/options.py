@@ -7,7 +7,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
-from enum import Enum
 from functools import wraps
 from pathlib import Path
 from types import MappingProxyType
@@ -182,8 +181,7 @@ def _parameter(one: Setting) -> inspect.Parameter:
     metavar = rule.metavar
     default = None if rule.otherwise else _text_of_default(one.default)
     if rule.words:
-        kind = cast(Any, Enum)(one.name, {word: word for word in rule.words})
-        default = default and kind(default)
+        kind, metavar = str, "|".join(rule.words)  # the settings say which is meant
     elif rule.several:
         kind = list[str]
     elif rule.parse is not None:
@@ -222,8 +220,6 @@ def _text_of_default(default: object) -> str | None:
 
 def _plain(one: Setting, value: Any) -> Any:  # noqa: ANN401
     """Typer's value converted to the field's type."""
-    if isinstance(value, Enum):
-        return value.value
     if one.rule.several and one.rule.parse is not None:
         return one.rule.parse(value)
     return Path(value) if one.kind is Path and one.rule.parse is None else value

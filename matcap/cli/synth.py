@@ -179,6 +179,7 @@ def sample(
     Each is near a random one of the prior's training photographs, or near the one given with
     --like. synth, relight, export, view and blend take them like any other material.
     """
+    from matcap.cli.display import working
     from matcap.field.plane import check_seed
     from matcap.files.names import check_suffix
     from matcap.files.output import Output, check_output, check_writable
@@ -197,8 +198,9 @@ def sample(
     draw = drawing(near, options.prior)
     if materials is not None:
         check_writable(materials, 4_000_000 * count)
-    drawn = [draw(seed + index) for index in range(count)]
-    write_picture(sample_sheet(drawn, seed), out)
+    with working("drawing materials", quiet=quiet):
+        drawn = [draw(seed + index) for index in range(count)]
+        write_picture(sample_sheet(drawn, seed), out)
     written = [out]
     if materials is not None:
         with Output(materials).stage() as stage:
@@ -272,9 +274,9 @@ def blend(
     check_writable(out, max(path.stat().st_size for path in (first, second)) * len(asked.shares))
     materials = []
     with ShareDisplay.open(quiet=quiet) as shown:
-        for number, t in enumerate(asked.shares, 1):
-            materials.append(between.blend(one, other, t))
+        for number, t in enumerate(asked.shares):
             shown.progress(number / len(asked.shares), "blending")
+            materials.append(between.blend(one, other, t))
     with Output(out).stage() as stage:
         for name, material in zip(names, materials, strict=True):
             material.save(stage / name)

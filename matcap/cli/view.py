@@ -59,6 +59,7 @@ def view(
 
     The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
+    from matcap.cli.display import working
     from matcap.files.output import check_output
     from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.pages import find_references
@@ -79,7 +80,8 @@ def view(
     material = subject.first if isinstance(subject, Materials) else None
     references = find_references(path, subject.facts.name, photo, material)
     if html is not None:
-        write_page(sealed_page(subject, asked.tile, references, read.adjustments), html)
+        with working("writing the page", quiet=quiet):
+            write_page(sealed_page(subject, asked.tile, references, read.adjustments), html)
         printer(quiet=quiet)(f"wrote {html}")
         return
     app = partial(make_app, subject, references=references, adjust=read.adjustments)

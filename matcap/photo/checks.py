@@ -68,8 +68,8 @@ class Finding:
 
     @property
     def appearance(self) -> str:
-        """Which of APPEARANCES a person sees, or the finding's own name."""
-        return next((seen for seen, keys in APPEARANCES.items() if self.name in keys), self.name)
+        """What a person sees, of a check of a capture; else the finding's own name."""
+        return (CHECKS[self.name].seen if self.name in CHECKS else "") or self.name
 
     def line(self) -> str:
         """Result and remedy as sentences."""
@@ -105,8 +105,10 @@ class QualityCheck:
     """Message, formatted with `value`, `percent` and the caller's words."""
     cause: str = ""
     """Likely cause if the photograph shows no other, or ""."""
-    remedy: str = "{more}"
-    """What to do; the word `more` is which photographs would help (capture/verdict/judge.py)."""
+    remedy: str = ""
+    """What to do, if the cause does not say it, or ""."""
+    seen: str = ""
+    """What a person sees in the sheet, of a check of a capture."""
     factor: bool = False
     """Whether the measurement is a ratio r, for which r and 1 / r are equally severe."""
     good: str = ""
@@ -178,7 +180,7 @@ class Cause:
     says: str
     """Message, formatted with `value`, `percent`, `share` (at most 1) and `ratio` (exp(value))."""
     remedy: str
-    """Remedy for the verdict; `more` as in a check."""
+    """What will help."""
     explains: frozenset[str]
     """Keys of the checks that it can affect."""
 
@@ -186,11 +188,11 @@ class Cause:
         """(value - none) / (limit - none): the cause is reported from 1."""
         return (value - self.none) / (self.limit - self.none)
 
-    def described(self, value: float, more: str) -> Cause:
-        """The cause with its messages formatted."""
+    def described(self, value: float) -> Cause:
+        """The cause with its message formatted."""
         ratio = math.exp(min(value, 99.0))  # of logarithms, which are smaller
         words = {"value": value, "percent": 100.0 * value, "share": min(value, 1.0), "ratio": ratio}
-        return replace(self, says=self.says.format(**words), remedy=self.remedy.format(more=more))
+        return replace(self, says=self.says.format(**words))
 
 
 def sentence(clause: str) -> str:
@@ -201,7 +203,6 @@ def sentence(clause: str) -> str:
 
 
 _RETAKE = "photograph again, squarely from above, in the dark, a stop darker, RAW if you can"
-_HIGHLIGHT = f"give --fov if you know it, or {_RETAKE}"
 
 _TABLE = (
     # Of the photograph.
@@ -234,6 +235,14 @@ _TABLE = (
         unknown="the tilt was not measured",
     ),
     QualityCheck(
+        "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
+        "the light seems to be {off:.0f} % of the picture's long side away from the lens, farther "
+        "than a phone's flash",
+        "other light, or a wrong field of view",
+        "switch other lights off, and give --fov if you know it",
+        good="the light is beside the lens, as a phone's flash",
+    ),
+    QualityCheck(
         "sharpness", "blur, standard deviation", "pixels", (1.5, 2.05, 2.6),
         "details smaller than {details:.0f} pixels are lost at {width} pixels across, unless the "
         "sample has none", "out of focus, or moved",
@@ -247,17 +256,14 @@ _TABLE = (
         (2.0, 3.2, 4.5),
         "the sample does not look the same all over; it differs most {where}",
         "several materials, stains, a picture or shadows",
-        "fill the picture with one material: no edges, stains, labels or shadows",
+        "fill the picture with one material, without edges, stains, labels or shadows, or --crop "
+        "to it",
         good="the sample looks the same all over",
     ),
     QualityCheck(
         "highlight", "radiance at the mirror point over a matte surface's", "", (),
-        "the highlight is {value:.1f} times as bright as a matte surface would be there{bound}",
-        remedy="", unknown="the photograph shows no gloss",
-    ),
-    QualityCheck(
-        "glints", "standard deviation of log radiance in the highlight", "", (),
-        "glints in the highlight vary by {variation:.0%}", remedy="",
+        "the highlight is {value:.1f} times as bright as a matte surface would be there{more}",
+        unknown="the photograph shows no gloss",
     ),
     # Of a set of photographs; directions are those of the first one as displayed.
     QualityCheck(
@@ -290,115 +296,78 @@ _TABLE = (
         remedy="Aim the phone at the middle of the sample each time, so that all of it is in the "
         "picture.",
     ),
-    # Of the capture.
+    # Of the capture: what a person sees in the sheet.
     QualityCheck(
-        "highlight_contrast", "radiance at the mirror point over a matte surface's, re-rendered "
-        "over photographed", "times", (1.3, 2.0, 3.0),
-        "the highlight is {value:.2g} times as strong as in the photograph{bound}", "", _HIGHLIGHT,
-        factor=True, unknown="neither the photograph nor its re-rendering has a highlight",
+        "photograph", "the worst of its subject, flash, clipping, tilt, unevenness and lamp", "",
+        (),
+        "{says}", seen="the photograph itself",
     ),
     QualityCheck(
-        "glint_contrast", "standard deviation of log radiance in the highlight, re-rendered over "
-        "photographed", "times", (1.3, 2.0, 3.0),
-        "the glints in the highlight are {value:.2g} times as strong as in the photograph",
-        factor=True, unknown="no highlight shows glints",
-    ),
-    QualityCheck(
-        "highlight_place", "distance between centres of the highlights", "tolerances",
-        (1.0, 2.6, 5.0),
-        "the highlight is displaced by {off:.0f} % of the picture's long side",
-        "the light's place or the field of view is wrong", _HIGHLIGHT,
+        "highlight_contrast", "radiance at the mirror point over a matte surface's, or contrast of "
+        "glints there, re-rendered over photographed", "times", (1.3, 2.0, 3.0),
+        "the {what} {value:.2g} times as strong as in the photograph{bound}", "",
+        f"give --fov if you know it, or {_RETAKE}", "highlight too weak or too strong", factor=True,
+        unknown="neither the photograph nor its re-rendering has a highlight",
     ),
     QualityCheck(
         "highlight_width", "half width of the highlight, re-rendered over photographed", "times",
         (1.3, 1.8, 3.0), "the highlight is {value:.1f} times as wide as in the photograph", "",
-        _HIGHLIGHT, factor=True,
+        f"give --fov if you know it, or {_RETAKE}", "highlight too wide or too narrow", factor=True,
     ),
     QualityCheck(
         "light", "log luminance difference that varies with position as light does", "share",
         (0.12, 0.22, 0.4),
         "shading across the picture differs from the photograph's by {percent:.0f} %",
+        seen="light of the picture",
     ),
     QualityCheck(
         "colour", "log ratio of a channel, median", "share", (0.06, 0.15, 0.35),
-        "colours are off by {percent:.0f} %",
+        "colours are off by {percent:.0f} %", seen="wrong colour",
     ),
     QualityCheck(
         "texture", "distance of texture statistics", "times that between parts of the photograph",
         (1.1, 1.5, 2.3),
         "the texture differs from the photograph {value:.1f} times as much as two parts of the "
-        "photograph differ from each other",
+        "photograph differ from each other", seen="another texture",
         unknown="the picture is too small to compare textures",
     ),
     QualityCheck(
         "contrast", "contrast of a band of texture, re-rendered over photographed", "times",
-        (1.25, 1.6, 2.5), "{band} is {more_or_less} than in the photograph", factor=True,
+        (1.25, 1.6, 2.5), "{band} is {more_or_less} than in the photograph",
+        seen="texture too soft or too coarse", factor=True,
     ),
     QualityCheck(
-        "connectivity", "mean cluster size of dark texels over that of bright ones, re-rendered "
-        "over photographed", "times", (3.0, 8.0, 50.0),
-        "{which} lines are {value:.2g} times {more_or_less} connected than in the photograph",
-        "cells or lines are broken, which decoders cannot draw and small patches cut",
-        "capture with --generator example, or synthesise with a lower --variety", factor=True,
-        unknown="the picture is too small to compare how its lines are connected",
+        "pattern", "loss of autocorrelation at one period, or 1 - 1 / cube root of the change of "
+        "mean cluster size of dark texels over bright ones", "share", (0.3, 0.5, 0.75), "{what}",
+        "cells or lines are broken, which small patches cut and decoders cannot draw",
+        "capture with --generator example, or synthesise with a lower --variety", "pattern broken",
+        unknown="the picture is too small to compare patterns",
     ),
     QualityCheck(
-        "order", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
-        "the pattern is {kept:.0f} % as regular as in the photograph",
-        "the pattern's period was not measured exactly, or it bends",
-        "photograph it flat and from nearer",
-        unknown="the photograph shows no regular pattern to compare",
-    ),
-    QualityCheck(
-        "exemplar", "difference of log radiance of photograph and re-rendered exemplar", "share",
-        (0.12, 0.22, 0.4),
-        "the re-rendered maps of the photographed rectangle differ from the photograph by "
-        "{percent:.0f} %",
-    ),
-    QualityCheck(
-        "confidence", "1 less the mean confidence of the maps", "share", (0.6, 0.75, 0.9),
-        "{percent:.0f} % of the maps is predicted by the network rather than measured, most of all "
-        "{least}",
-        "clipped, dark or matte parts of a photograph show little of gloss and relief", _RETAKE,
+        "repeat", "times that each part is shown in a field as large as the photograph", "times",
+        (10.0, 16.0, 30.0),
+        "on an area as large as the photograph each part of it that is used is shown "
+        "{value:.0f} times",
+        "the rest of the photograph stands out or is shown too unlike, so that little of it is "
+        "used",
+        "photograph an even part of the sample, filling the picture", "a mark that repeats",
     ),
     QualityCheck(
         "highlight_residue", "radial variation of a map about the mirror point",
         "times the visible threshold",
         (1.0, 2.0, 4.0), "the flash's highlight has left a spot in the maps: {amount}",
         "part of the highlight was taken for colour or gloss of the material",
+        seen="blotch where the flash was",
     ),
     QualityCheck(
         "steepness", "slopes of waves of 8 to 64 texels, a decoder's field over the exemplar",
         "times", (1.3, 2.0, 3.0),
         "slow relief is {value:.2g} times as steep as in the maps of the photographed rectangle",
         "the decoder takes stains for relief, or relief for stains",
-        "capture with --generator example", factor=True,
-    ),
-    QualityCheck(
-        "flash_offset", "distance of the flash from the lens", "plane units", (0.25, 0.35, 0.6),
-        "the light seems to be {off:.0f} % of the picture's long side away from the lens, farther "
-        "than a phone's flash",
-        "other light, or a wrong field of view",
-        "switch other lights off, and give --fov if you know it",
+        "capture with --generator example", "relief too flat or too steep", factor=True,
     ),
 )  # fmt: skip
 CHECKS: Mapping[str, QualityCheck] = {check.key: check for check in _TABLE}
-
-APPEARANCES: Mapping[str, tuple[str, ...]] = {
-    "nothing to capture": ("subject",),
-    "light of the picture": ("light", "flash", "flash_offset"),
-    "highlight too weak or too strong": ("highlight_contrast", "glint_contrast", "clipped"),
-    "highlight too wide or displaced": ("highlight_width", "highlight_place", "hot_spot"),
-    "wrong colour": ("colour",),
-    "another texture": ("texture", "exemplar"),
-    "texture too soft or too coarse": ("contrast", "sharpness"),
-    "pattern broken": ("connectivity", "order"),
-    "blotch where the flash was": ("highlight_residue",),
-    "relief too flat or too steep": ("steepness", "confidence"),
-    "an uneven sample, whose marks repeat": ("stationarity",),
-    "a tilted sample": ("tilt",),
-}
-"""What a person sees, and the checks that measure it."""
 
 RESIDUES: Mapping[str, tuple[float, str]] = {
     "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),
@@ -416,10 +385,8 @@ _DARK = (
     "photograph in a dark room, with other lights off, or take one more without flash and give "
     "them with --together"
 )
-_OF_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_place", "highlight_width"})
-_OF_LIGHT = _OF_HIGHLIGHT | {"light", "colour", "exemplar", "flash", "tilt", "flash_offset"}
-# A highlight of the wrong contrast looks like a tone curve or ambient light.
-_OF_LEVELS = _OF_LIGHT - {"highlight_contrast"}
+_OF_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width"})
+_OF_LIGHT = _OF_HIGHLIGHT | {"light", "colour", "photograph"}
 
 _CAUSES = (
     Cause(
@@ -428,14 +395,7 @@ _CAUSES = (
         "the highlight is a streak {value:.1f} times as long as wide: the reflection is "
         "anisotropic, as of brushed metal, which the maps cannot represent",
         "use an anisotropic shader in the renderer",
-        _OF_HIGHLIGHT | {"light", "exemplar"},
-    ),
-    Cause(
-        "no flash", "1 if light is uniform and the file does not say that the flash fired",
-        0.0, 1.0,
-        "the flash did not fire: the border is as bright as the middle",
-        "photograph again with the flash on, in a dark room",
-        _OF_LIGHT,
+        _OF_HIGHLIGHT | {"light"},
     ),
     Cause(
         "light from a side", "log ratio of the brightest side's light to that around the centre, "
@@ -446,35 +406,21 @@ _CAUSES = (
     Cause(
         "room light", "uniform radiance over that of dark parts", 0.0, 0.25,
         "{share:.0%} of the light in the dark parts is room light, not the flash's", _DARK,
-        _OF_LEVELS,
+        # A highlight of the wrong contrast looks like a tone curve or ambient light.
+        _OF_LIGHT - {"highlight_contrast"},
     ),
     Cause(
         "tone curve", "difference of log radiance that is a function of brightness", 0.0, 0.12,
         "the camera applied a tone curve, so that pixel values are not proportional to light",
         "take RAW (DNG)",
-        _OF_LEVELS,
-    ),
-    Cause(
-        "clipping by channel", "share where some channels are clipped and others are not",
-        0.0, 0.04,
-        "one or two of red, green and blue are clipped on {percent:.0f} % of the photograph, which "
-        "changes its colour there",
-        "photograph again a stop darker",
-        _OF_HIGHLIGHT | {"clipped", "colour", "confidence", "exemplar", "contrast", "light"},
-    ),
-    Cause(
-        "steep relief", "mean angle of the exemplar's normals, degrees", 0.0, 25.0,
-        "the relief's mean slope is {value:.0f} degrees, too steep to measure from one flash "
-        "position",
-        "{more}",
-        frozenset({"texture", "contrast", "exemplar", "confidence", "glint_contrast"}),
+        _OF_LIGHT - {"highlight_contrast"},
     ),
     Cause(
         "large features", "patch size of the field: small patches at 1, the whole exemplar at 0",
         1.0, 0.2,
         "the pattern's features are almost as large as the photograph, too large to rearrange",
         "use it with --variety 0, or photograph more of the sample from further away",
-        frozenset({"texture", "contrast", "connectivity", "order", "light"}),
+        frozenset({"texture", "contrast", "pattern", "light"}),
     ),
 )  # fmt: skip
 CAUSES: Mapping[str, Cause] = {cause.name: cause for cause in _CAUSES}

@@ -31,15 +31,18 @@ _HOT_BLUR = 0.08  # standard deviation of the blur before the maximum is taken, 
 # the width.
 _HOT_REACH = 0.14
 _HOT_ROUNDS = 4  # iterations of that fit
+_SHARP = 1024  # most pixels across at which sharpness is measured, whatever is read
 _SHARPEST = 0.25  # quantile over tiles of the blur, as smooth parts do not show the focus
 _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a tile with detail
 # Usual differences between tiles: log contrast of a fine and of a coarser band, and two log
 # hues.
 _USUAL = (0.4, 0.6, 0.15, 0.15)
+_FLASH_TERMS = 5  # functions of the distance from the hot spot
 _TILES = 8  # along the long side
-# A picture without a material: pixels across that are too few, share of pixels equal to the next,
+# A picture without a material: pixels across that are too few, share of pixels equal to others,
 # deviation of log radiance in fine texture below which there is none, difference between parts.
-_SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.5, 0.003, 2.4
+_SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.4, 0.003, 2.4
+_APART = 32  # how far from others, as a share of the longer side
 _NOT_ONE = 4.0  # severity of such a picture
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 
@@ -59,6 +62,11 @@ class Inspection:
 
     def __getitem__(self, name: str) -> Finding:
         return next(finding for finding in self.findings if finding.name == name)
+
+    def with_finding(self, finding: Finding) -> Inspection:
+        """The inspection with a finding in place of the one of its name, or at the end."""
+        known = {one.name: one for one in self.findings} | {finding.name: finding}
+        return replace(self, findings=tuple(known.values()))
 
     def document(self) -> dict[str, Any]:
         """The inspection for JSON."""
@@ -88,8 +96,6 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
             _sharpness(photo),
             _stationarity(photo, place),
             _radiometric(photo),
-            _shading_map(photo),
-            _gain_map(photo),
             *_reading(photo),
             *_border(photo),
         ),
@@ -147,7 +153,8 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     """(rows, columns) difference of tiles from a uniform material, in units of _USUAL.
 
     Root sum of squares over the log contrast in two bands and two log hues, each less its
-    regression on functions of the distance from the hot spot, which is an effect of the flash.
+    regression on the flash: on hat functions of the distance from the hot spot, of hues also on
+    log luminance.
 
     Args:
         pixels: (H, W, 3) linear.
@@ -164,11 +171,14 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     ]
     rows, columns = measures[0].shape
     y, x = np.mgrid[:rows, :columns].astype(np.float64)
-    squared = ((x + 0.5) / columns - place[0]) ** 2
-    squared += (((y + 0.5) / rows - place[1]) * pixels.shape[0] / width) ** 2
-    terms = np.stack([np.ones_like(x), squared, np.exp(-40.0 * squared)], axis=-1).reshape(-1, 3)
+    across = (x + 0.5) / columns - place[0]
+    distance = np.hypot(across, ((y + 0.5) / rows - place[1]) * pixels.shape[0] / width).ravel()
+    ends = np.linspace(0.0, distance.max(), _FLASH_TERMS)
+    rings = np.stack([np.interp(distance, ends, one) for one in np.eye(_FLASH_TERMS)], axis=1)
+    # A highlight is white: it takes colour away where it is bright, however it is shaped.
+    lit = np.concatenate([rings, _tiles(light).reshape(-1, 1)], axis=1)
     total = np.zeros_like(x)
-    for measure, usual in zip(measures, _USUAL, strict=True):
+    for measure, usual, terms in zip(measures, _USUAL, (rings, rings, lit, lit), strict=True):
         fitted = terms @ np.linalg.lstsq(terms, measure.ravel(), rcond=None)[0]
         total += ((measure - fitted.reshape(measure.shape)) / usual) ** 2
     return np.sqrt(total)
@@ -179,7 +189,9 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     pixels, check = photo.pixels, CHECKS["subject"]
     light = _log(channel_mean(pixels))
     fine = float((blurred(light, 1.0) - blurred(light, 8.0)).std())
-    equal = float((pixels[:, 1:] == pixels[:, :-1]).all(axis=2).mean())
+    # Smooth paint has equal neighbours, but no equal pixels a 32nd of the width apart.
+    far = max(1, max(pixels.shape[:2]) // _APART)
+    equal = min(_equal(pixels[far:], pixels[:-far]), _equal(pixels[:, far:], pixels[:, :-far]))
     mixed = float(np.sqrt(np.mean(np.square(unevenness(pixels, place)))))
     height, width = pixels.shape[:2]
     original, square = "give the photograph as the camera wrote it", "square above a flat sample"
@@ -187,7 +199,7 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
         what, why = "the picture is one plain colour, without any texture", "nothing to measure"
         do = "photograph a material with its texture in focus, lit by the flash"
     elif equal > _EQUAL:
-        what = f"in {equal:.0%} of the picture each pixel is exactly as the next"
+        what = f"{equal:.0%} of the pixels are exactly as others a 32nd of the width away"
         why, do = "a screenshot or a drawing, or it is far overexposed", original
     elif falloff < CHECKS["flash"].limits[2] and not photo.flash_fired:
         what = "there is no flash in the picture: its middle is no brighter than its border"
@@ -202,6 +214,11 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     else:
         return check.rated(True, Rating.GOOD)
     return check.rated(False, Rating.FAILED, _NOT_ONE, what=what, why=why, do=do)
+
+
+def _equal(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    """Share of pixels (H, W, 3) that are equal in both."""
+    return float((one == other).all(axis=2).mean())
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:
@@ -249,8 +266,10 @@ def _tilt(photo: Photo, tilt: tuple[float, float] | None) -> Finding:
 
 
 def _sharpness(photo: Photo) -> Finding:
-    blur = softness(photo.pixels)
-    return CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=photo.pixels.shape[1])
+    height, width = photo.pixels.shape[:2]
+    across = min(width, _SHARP)
+    blur = softness(area_averaged(photo.pixels, (across, round(height * across / width))))
+    return CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=across)
 
 
 def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
@@ -277,28 +296,14 @@ def _radiometric(photo: Photo) -> Finding:
     return Finding("radiometric", False, Rating.NOT_JUDGED, f"{says}.", remedy)
 
 
-def _shading_map(photo: Photo) -> Finding:
-    applied = photo.gain_map_applied
-    says = "Its lens-shading map was applied." if applied else "It carries no lens-shading map."
-    return Finding("shading_map", applied, Rating.GOOD if applied else Rating.NOT_JUDGED, says)
-
-
 def _reading(photo: Photo) -> tuple[Finding, ...]:
     """Notes of reading the file, as a finding."""
-    notes = [note for note in photo.remarks if GAIN_MAP not in note]
+    notes = list(photo.remarks)
     if not notes:
         return ()
-    return (Finding("reading", notes, Rating.NOT_JUDGED, " ".join(notes)),)
-
-
-def _gain_map(photo: Photo) -> Finding:
-    notes = [note for note in photo.notes if GAIN_MAP in note]
-    if not notes:
-        return Finding("gain_map", False, Rating.GOOD, "It carries no HDR gain map.")
-    if photo.headroom > 1.0:
-        return Finding("gain_map", True, Rating.GOOD, notes[0])
-    remedy = "Give the file as the camera wrote it, or switch HDR off."
-    return Finding("gain_map", True, Rating.NOT_JUDGED, notes[0], remedy)
+    unread = photo.headroom <= 1.0 and any(GAIN_MAP in note for note in notes)
+    remedy = "Give the file as the camera wrote it, or switch HDR off." if unread else ""
+    return (Finding("reading", notes, Rating.NOT_JUDGED, " ".join(notes), remedy),)
 
 
 def _upright(photo: Photo, x: float, y: float) -> tuple[float, float]:

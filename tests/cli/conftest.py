@@ -12,6 +12,7 @@ from matcap.capture import pipeline as capturing
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.measurements import measure_capture
+from matcap.cli import capture as capturing_command
 from matcap.cli.main import main
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -97,6 +98,7 @@ def pipeline(monkeypatch) -> FakePipeline:
     fake = FakePipeline()
     monkeypatch.setattr(capturing, "load_photo", fake.load_photo)
     monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
+    monkeypatch.setattr(capturing_command, "slowness", lambda: 1.0)  # of any machine
     return fake
 
 

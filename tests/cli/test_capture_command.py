@@ -30,6 +30,8 @@ from matcap.capture.settings import (
     SHOWN_STAGES,
     CaptureClock,
     CaptureSettings,
+    slowness,
+    within_time,
 )
 from matcap.cli.display import ShareDisplay
 from matcap.errors import UsageError
@@ -101,9 +103,34 @@ def test_maps_for_engines_stand_in_a_folder(matcap, pipeline, photo, out, form):
     assert "leather_height.png" in files and any("normal_gl" in name for name in files)
 
 
-def test_a_too_short_time_limit_is_refused_at_once(matcap, pipeline, photo, out):
-    said = matcap("capture", photo, "-o", out, "--time", "5s")
-    assert said.code == 0 and "the shortest capture takes about 10 s" in said.err.splitlines()[0]
+def test_a_too_short_time_limit_is_refused_at_once(matcap, pipeline, out):
+    said = matcap("capture", "missing.jpg", "-o", out, "--time", "0.05")
+    assert said.code == 2 and not pipeline.calls
+    assert "the shortest capture takes about" in said.err and "missing.jpg" not in said.err
+
+
+@pytest.mark.parametrize(
+    ("seconds", "photographs", "slower", "detail"),
+    [
+        (10, 1, 1.0, 512),
+        (20, 1, 1.0, 1024),
+        (60, 1, 1.0, 2048),
+        (60, 1, 2.0, 1024),
+        (39, 5, 1.0, 512),
+    ],
+)
+def test_the_detail_is_what_fits_into_the_time(seconds, photographs, slower, detail):
+    limited = CaptureSettings(time_limit=float(seconds))
+    assert within_time(limited, photographs, slower).detail == detail
+    kept = replace(limited, detail=700)
+    assert within_time(kept, photographs, slower).detail == 700
+
+
+def test_a_slow_machine_needs_more_time():
+    with pytest.raises(UsageError, match="takes about 30 s"):
+        within_time(CaptureSettings(time_limit=29.0), 1, 3.0)
+    assert within_time(CaptureSettings(), 1, 1e9) == CaptureSettings()
+    assert slowness() > 0.0
 
 
 def test_pngs_and_directx_normals(matcap, pipeline, photo, out):
@@ -141,7 +168,7 @@ def test_the_verdict_is_printed_and_strict_sets_the_exit_code(matcap, pipeline, 
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
     assert (
-        "failed: nothing to capture: the picture is one plain colour, without any texture"
+        "failed: the photograph itself: the picture is one plain colour, without any texture"
         in said.err
     )
     assert "error" not in said.err

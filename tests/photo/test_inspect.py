@@ -207,7 +207,7 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     said = capsys.readouterr()
     good, bad = json.loads(said.out)["photographs"]
     assert code == 4
-    assert good["radiometric"]["value"] is True and good["shading_map"]["value"] is True
+    assert good["radiometric"]["value"] is True
     assert (
         "the flash fired" in good["flash"]["message"] and abs(good["tilt"]["value"]["degrees"]) < 8
     )
@@ -220,7 +220,8 @@ def test_notes_of_reading_are_findings():
     assert "reading" not in plain.document()
     notes = ("The file carries an HDR gain map, which was not applied.", "Daylight assumed.")
     found = inspect_photo(replace(photo_of(grey(), flash_fired=True), notes=notes))
-    assert (found["reading"].value, found["reading"].rating) == ([notes[1]], Rating.NOT_JUDGED)
+    assert (found["reading"].value, found["reading"].rating) == ([*notes], Rating.NOT_JUDGED)
+    assert "switch HDR off" in found["reading"].remedy
     assert found.rating is plain.rating
 
 
@@ -242,11 +243,13 @@ def test_a_folder_prints_a_line_per_photograph(shots, tmp_path, capsys):
     write_jpeg(tmp_path / "a.jpg", shots["granite", 0], 1)
     Image.fromarray(np.full((300, 400, 3), 90, np.uint8)).save(tmp_path / "plain.png")
     assert main(["inspect", str(tmp_path)]) == 0
-    first, second = capsys.readouterr().out.splitlines()
+    first, second, *shared = capsys.readouterr().out.splitlines()
     assert "a.jpg: " in first
     assert second.startswith("!  plain.png: failed: The picture is one plain colour")
+    assert shared and all(line.startswith("   all: ") for line in shared)
     assert main(["inspect", str(tmp_path), "--details"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) > 12
+    details = capsys.readouterr().out
+    assert len(details.splitlines()) > 12 and details.count("albedo is relative") == 1
 
 
 # The calibration card of examples/card.pdf: photographed (simulated), and read back.

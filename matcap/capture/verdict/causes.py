@@ -19,7 +19,9 @@ from matcap.capture.exemplar.mean_parameters import BOUND
 from matcap.capture.exemplar.refine import LEAST_SHARE, MIRRORED
 from matcap.capture.exemplar.relief_spectrum import filled, slope_spectrum
 from matcap.capture.rectified import Rectified
+from matcap.example.example import Example, coarse_places, detail_bits
 from matcap.example.exemplar import Exemplar
+from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight, elongation, light_of
 from matcap.flash.light import FlashLight, cached_rows, strips
@@ -212,6 +214,7 @@ _BLOCKS = 24  # blocks along the long side; smaller structure is texture
 _RINGS = 6  # rings of equally many blocks; more resolve finer, with more sampling variance
 _TOE = 0.004  # added to albedo and F0 before logarithms
 _COARSE = slice(0, 3)  # of filters.BANDS: 8 to 64 texels
+_PART = 16  # texels of a side of a part of the exemplar, of which recurrences are counted
 _FLAT = 0.01  # root-mean-square slope of these waves below which a surface is flat to the eye
 
 
@@ -225,13 +228,14 @@ class ExemplarMeasurements:
     """Mean confidence by map."""
     residue: Mapping[str, float] | None = None
     """Radial variation of the maps about the mirror point (highlight_residue)."""
-    tilt: float = 0.0
-    """Mean angle of the normals to the plane's, degrees."""
     steepness: float = math.nan
     """Slopes of a decoder's field over the exemplar's; NaN without a decoder."""
     variety: float = 1.0
     """Patch size of the field: 1 for small patches, 0 for the whole exemplar, whose features are as
     large as the photograph."""
+    repeats: float = 0.0
+    """Times that each part that is shown is shown in a field as large as the photograph; 0 without
+    patches."""
 
     @staticmethod
     def of(
@@ -239,6 +243,7 @@ class ExemplarMeasurements:
         rectified: Rectified,
         setup: FlashSetup,
         drawn: MapSet | None,
+        seed: int,
     ) -> ExemplarMeasurements:
         """Measure an exemplar.
 
@@ -247,18 +252,27 @@ class ExemplarMeasurements:
             rectified: its photograph.
             setup: camera and flash, in the orientation of the exemplar.
             drawn: maps of a decoder's field, or None.
+            seed: of the field.
         """
-        first = estimate.first_rectangle
-        cosine = map_set_of(estimate.exemplar).normal[2].clamp(-1.0, 1.0)
+        first, example = estimate.first_rectangle, estimate.example
         return ExemplarMeasurements(
             error=estimate.error,
             confidence=estimate.mean_confidence(rectified.photo.kept_share),
             residue=highlight_residue(first, setup),
-            tilt=float(cosine.acos().rad2deg().mean()),
             steepness=math.nan if drawn is None else steepness(drawn, map_set_of(first)),
             # Of a lattice, whole periods are rearranged, however small they are.
-            variety=1.0 if rectified.waves else estimate.example.variety,
+            variety=1.0 if rectified.waves else example.variety,
+            repeats=_repeats(example, first.size, seed) if drawn is None else 0.0,
         )
+
+
+def _repeats(example: Example, size: tuple[int, int], seed: int) -> float:
+    """Mean over a field of (width, height) texels of how often its parts of the exemplar recur."""
+    level = max(detail_bits(example.exemplar), 2)
+    squares = Rectangle(0, 0, size[0] >> level, size[1] >> level)
+    part = coarse_places(example, seed, level, squares).astype(np.int64) // _PART
+    counts = np.unique(part[..., 1] << 16 | part[..., 0], return_counts=True)[1]
+    return float(np.square(counts).sum() / counts.sum()) / (_PART >> level) ** 2
 
 
 def highlight_residue(exemplar: Exemplar, setup: FlashSetup) -> dict[str, float]:
@@ -338,7 +352,6 @@ _BRIGHTEST = 0.7
 _STRIP = 0.06  # width of the border that represents a side, as a share of the picture's
 # Inner and outer radius, plane units, of the ring that represents the centre.
 _CENTRE_RING = (0.25, 0.5)
-_CLIP = 0.995  # of the clip level, from which a channel counts as clipped
 
 
 def measure_causes(
@@ -363,25 +376,21 @@ def measure_causes(
     # A tone curve or ambient light, whichever is stronger; of a RAW, ambient light.
     room_strength = CAUSES["room light"].strength(room)
     curved = not photo.radiometric and CAUSES["tone curve"].strength(curve) >= room_strength
-    clipped = photo.pixels >= _CLIP * photo.headroom
     return {
         "anisotropic highlight": _streak(pictures, highlights),
-        "no flash": float(uniform and not photo.flash_fired),
         "light from a side": -math.inf if uniform else side,
         "room light": 0.0 if curved else room,
         "tone curve": curve if curved else 0.0,
-        "clipping by channel": float((clipped[..., 1:] != clipped[..., :1]).any(axis=2).mean()),
-        "steep relief": exemplar.tilt,
         "large features": exemplar.variety,
     }
 
 
-def causes(measured: Mapping[str, float], more: str) -> tuple[Cause, ...]:
-    """Causes beyond their limits, the strongest first; `more` is which photographs would help."""
+def causes(measured: Mapping[str, float]) -> tuple[Cause, ...]:
+    """Causes beyond their limits, the strongest first."""
     strengths = {name: CAUSES[name].strength(value) for name, value in measured.items()}
     visible = [name for name in strengths if strengths[name] >= 1.0]
     return tuple(
-        CAUSES[name].described(measured[name], more)
+        CAUSES[name].described(measured[name])
         for name in sorted(visible, key=lambda name: -strengths[name])
     )
 

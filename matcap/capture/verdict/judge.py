@@ -16,24 +16,26 @@ from matcap.photo.inspect import whereabouts
 NORM = 6.0
 """Exponent p of the severity (sum s^p)^(1/p): near the largest s, and a little above it for several
 (three of 1.8 give 2.2); docs/notes/verdict.md."""
-PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity")
+PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity", "flash_offset")
 """Keys of the photograph's own checks that are part of the verdict."""
 
 _UNDETERMINED = "one photograph leaves open what of it is colour, gloss and relief"
-_AT_HIGHLIGHT = frozenset(
-    {"highlight_contrast", "glint_contrast", "highlight_place", "highlight_width",
-     "highlight_residue", "clipped"}
-)  # fmt: skip
-_IN_TEXTURE = frozenset({"texture", "contrast", "exemplar", "connectivity", "order", "confidence"})
-# Measurements from which a reason matters: clipped share of the highlight, blur in pixels,
-# difference between parts, share of relief that is predicted.
-_CLIPPED, _BLURRED, _UNEVEN, _PREDICTED = 0.05, 1.5, 1.2, 0.5
+_AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width", "highlight_residue"})
+_IN_TEXTURE = frozenset({"texture", "contrast", "pattern", "repeat"})
+# What a fault of the photograph explains, by its check; the first is the likeliest.
+_BY_PHOTOGRAPH = {
+    "clipped": _AT_HIGHLIGHT | {"colour", "light", "contrast"},
+    "sharpness": _IN_TEXTURE,
+    "stationarity": _IN_TEXTURE | {"light", "colour"},
+    "tilt": frozenset({"light", "texture"}),
+}
+_PREDICTED = 0.5  # share of relief that is predicted rather than measured, from which it matters
+_MISFIT = 0.12  # log radiance by which maps of the photographed rectangle do not explain it
 # Which highlights and lattices are compared; docs/notes/verdict.md.
 _WIDEST = 0.34  # largest half width of a visible highlight, plane units (below that of the falloff)
 _FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
-# Tolerance of a highlight's position: plane units, plus a share of its half width.
-_PLACE_TOLERANCE = (0.03, 0.1)
 _LEAST_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
+_SLIGHT = 0.6  # severity up to which a finding is not explained: any number of them is good
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class CaptureVerdict:
     """All findings, in the order of the report."""
     causes: tuple[Cause, ...] = ()
     """Causes detected in the photograph, the strongest first."""
-    photographs: int = 1
-    """Number of photographs of the sample."""
+    note: str = ""
+    """What else limits the capture, as a clause; or ""."""
 
     @property
     def severity(self) -> float:
@@ -64,44 +66,23 @@ class CaptureVerdict:
 
     @property
     def worst(self) -> Finding:
-        """The finding with the largest severity; without a material in the picture, that one."""
+        """The finding with the largest severity; a photograph that has failed explains the rest."""
         first = self.findings[0]
-        if first.name == "subject" and first.rating is Rating.FAILED:
+        if first.rating is Rating.FAILED:
             return first
         return max(self.findings, key=lambda finding: finding.severity)
 
-    @property
-    def appearances(self) -> dict[str, Finding]:
-        """What a person sees, at most twelve: the worst finding of each of APPEARANCES."""
-        worst: dict[str, Finding] = {}
-        for finding in sorted(self.findings, key=lambda finding: finding.severity):
-            worst[finding.appearance] = finding
-        return worst
-
     def sentence(self) -> str:
         """The verdict in one line: rating, largest difference, likely cause and remedy."""
-        first = self.findings[0]
-        note = f" ({first.says})" if first.rating is Rating.NOT_JUDGED else ""
+        note = f" ({self.note})" if self.note else ""
         if self.rating is Rating.GOOD:
             return f"{self.rating.value}: looks like the photograph{note}"
-        cause, remedy = self.cause()
         worst, place = self.worst, ""
         if worst.where is not None and worst.name in _IN_TEXTURE:
             left, top, width, height = worst.where
             place = f", most of all {whereabouts(left + width / 2.0, top + height / 2.0)}"
         seen = f"{self.rating.value}: {worst.appearance}: {worst.says}{place}{note}"
-        return f"{seen}. Why: {cause}. What helps: {remedy}."
-
-    def cause(self) -> tuple[str, str]:
-        """Clauses on the cause of the largest difference, and on what will help."""
-        worst = self.worst
-        if worst.name != "subject":
-            for cause in self.causes:
-                if worst.name in cause.explains:
-                    return cause.says, cause.remedy
-        repeats = any(finding.name == "order" for finding in self.findings)
-        more = more_photographs(self.photographs, repeats=repeats)
-        return worst.cause or _UNDETERMINED, worst.remedy or more
+        return f"{seen}. Why: {worst.cause}. What helps: {worst.remedy}."
 
     def document(self) -> dict[str, Any]:
         """JSON (report.py describes the keys)."""
@@ -114,8 +95,8 @@ class CaptureVerdict:
                 {"name": one.name, "message": one.says, "remedy": one.remedy} for one in self.causes
             ],
             "appearances": {
-                name: finding.name
-                for name, finding in self.appearances.items()
+                finding.appearance: finding.name
+                for finding in self.findings
                 if finding.severity > 1.0
             },
             "checks": {finding.name: finding.document() for finding in self.findings},
@@ -124,9 +105,15 @@ class CaptureVerdict:
 
 def judge(seen: Measurements) -> CaptureVerdict:
     """Rate measurements and look for causes."""
-    more = more_photographs(seen.photographs, repeats=seen.order is not None)
-    judged = (_placed(_explained(finding, seen, more), seen) for finding in findings(seen))
-    return CaptureVerdict(tuple(judged), causes(seen.causes, more), seen.photographs)
+    shown = causes(seen.causes)
+    judged = (_explained(_placed(finding, seen), shown, seen) for finding in findings(seen))
+    verdict = CaptureVerdict(tuple(judged), shown)
+    subject, clipped = (seen.photograph[key] for key in ("subject", "clipped"))
+    if subject.rating is Rating.NOT_JUDGED:
+        return replace(verdict, note=subject.says)
+    if verdict.rating is Rating.GOOD and not _fine(clipped):
+        return replace(verdict, note=f"{clipped.says}: {clipped.remedy}")
+    return verdict
 
 
 def _placed(finding: Finding, seen: Measurements) -> Finding:
@@ -137,93 +124,70 @@ def _placed(finding: Finding, seen: Measurements) -> Finding:
     return replace(finding, where=seen.regions.get(place))
 
 
-def _explained(finding: Finding, seen: Measurements, more: str) -> Finding:
-    """The finding with the strongest measured reason; a finding with a cause is kept as it is."""
-    if finding.cause or finding.severity <= 1.0:
+def _explained(finding: Finding, shown: tuple[Cause, ...], seen: Measurements) -> Finding:
+    """The finding with why, and what helps, if it is visible.
+
+    The strongest cause that can explain it, else its own, else a fault of the photograph.
+    """
+    if finding.severity <= _SLIGHT:
         return finding
-    reasons = [
-        one for one in _reasons(seen, more) if one.strength >= 1.0 and finding.name in one.explains
-    ]
-    if not reasons:
+    if finding.name != "photograph" or finding.rating is not Rating.FAILED:
+        for cause in shown:
+            if finding.name in cause.explains:
+                return replace(finding, cause=cause.says, remedy=cause.remedy)
+    if finding.cause and finding.remedy:
         return finding
-    best = max(reasons, key=lambda one: one.strength)
-    return replace(finding, cause=best.why, remedy=best.remedy)
+    why, remedy = next(_reasons(finding.name, seen), (_UNDETERMINED, finding.remedy))
+    more = more_photographs(seen.photographs, repeats=seen.order is not None)
+    return replace(finding, cause=finding.cause or why, remedy=remedy or more)
 
 
-@dataclass(frozen=True)
-class _Reason:
-    strength: float
-    """Measurement over the value from which it matters; the strongest is given."""
-    why: str
-    remedy: str
-    explains: frozenset[str]
-    """Keys of checks."""
-
-
-def _reasons(seen: Measurements, more: str) -> Iterator[_Reason]:
-    """Measured reasons why maps differ from the photograph."""
+def _reasons(name: str, seen: Measurements) -> Iterator[tuple[str, str]]:
+    """Why maps differ from the photograph in a check, and what helps, the likeliest first."""
     photograph = {finding.name: finding for finding in seen.photograph.findings}
+    for key, explains in _BY_PHOTOGRAPH.items():
+        fault = photograph.get(key)
+        if fault is not None and name in explains and not _fine(fault):
+            yield fault.says, fault.remedy
+    exemplar = seen.exemplar
+    confidence = exemplar.confidence or {}
+    relief = [confidence[name] for name in ("height", "normal") if name in confidence]
+    if name in _IN_TEXTURE | {"highlight_residue"}:
+        if exemplar.error > _MISFIT or any(each < 1.0 - _PREDICTED for each in relief):
+            yield "light from one place shows little of the relief across its direction", ""
+        elif confidence:
+            yield (
+                "maps of the photographed rectangle fit it, rearranged ones less",
+                "synthesise with a lower --variety, or make that rectangle repeat (synth --tile "
+                "piece)",
+            )
+    developed = photograph.get("radiometric")
+    if developed is not None and developed.rating is not Rating.GOOD:
+        yield (
+            "a developed picture does not keep highlights and colours in proportion to light",
+            "photograph RAW (DNG), or take one more a few stops darker and capture both",
+        )
 
-    def number(name: str) -> float:
-        value = photograph[name].value if name in photograph else None
-        return float(value) if isinstance(value, int | float) else 0.0
 
-    clipped = 0.0 if seen.profile is None else seen.profile.clipped[0]
-    yield _Reason(
-        clipped / _CLIPPED, f"{clipped:.0%} of the highlight is clipped, so its peak is unknown",
-        "take one more photograph from the same place, two to four stops darker, and capture both",
-        _AT_HIGHLIGHT | {"colour"},
-    )  # fmt: skip
-    yield _Reason(
-        number("sharpness") / _BLURRED, "the photograph is not sharp",
-        "touch the sample on the screen to focus, and hold still", _IN_TEXTURE,
-    )  # fmt: skip
-    yield _Reason(
-        number("stationarity") / _UNEVEN, "parts of the sample differ from each other",
-        "capture the even part by --crop, or photograph another part of the sample",
-        _IN_TEXTURE | {"light", "colour"},
-    )  # fmt: skip
-    confidence = seen.exemplar.confidence or {}
-    relief = 1.0 - min((confidence[name] for name in ("height", "normal") if name in confidence),
-                       default=1.0)  # fmt: skip
-    yield _Reason(
-        relief / _PREDICTED,
-        "light from one place shows little of the relief across its direction", more,
-        _IN_TEXTURE | {"glint_contrast", "highlight_residue"},
-    )  # fmt: skip
-    error, limit = seen.exemplar.error, CHECKS["exemplar"].limits[0]
-    yield _Reason(
-        float(error <= limit), "maps of the photographed rectangle fit it, rearranged ones less",
-        "synthesise with a lower --variety, or make that rectangle repeat (synth --tile piece)",
-        _IN_TEXTURE - {"exemplar", "confidence"},
-    )  # fmt: skip
-    yield _Reason(
-        error / limit if error > limit else 0.0,
-        "light from one place does not tell all of relief and gloss from colour", more,
-        _IN_TEXTURE | {"glint_contrast", "highlight_residue"},
-    )  # fmt: skip
-    developed = "radiometric" in photograph and photograph["radiometric"].rating is not Rating.GOOD
-    yield _Reason(
-        float(developed),
-        "a developed picture does not keep highlights and colours in proportion to light",
-        "photograph RAW (DNG), or take one more a few stops darker and capture both",
-        _AT_HIGHLIGHT | {"light", "colour", "exemplar"},
-    )  # fmt: skip
+def _fine(finding: Finding) -> bool:
+    return finding.rating in (Rating.GOOD, Rating.NOT_JUDGED)
 
 
 def findings(seen: Measurements) -> Iterator[Finding]:
     """All findings, in the order of the report."""
-    more = more_photographs(seen.photographs, repeats=seen.order is not None)
-    yield from (seen.photograph[key] for key in PHOTOGRAPHED)
-    yield from _highlight(seen, more)
-    yield CHECKS["light"].finding(seen.light, more=more)
-    yield CHECKS["colour"].finding(max(map(abs, seen.colour)), more=more)
-    yield CHECKS["texture"].finding(seen.texture, more=more)
-    yield _contrast(seen, more)
-    yield _connectivity(seen)
-    yield from _order(seen)
-    yield from _exemplar(seen.exemplar, more)
-    yield CHECKS["flash_offset"].finding(seen.offset, off=50.0 * seen.offset)
+    rated = (one for one in seen.photograph.findings if one.name in PHOTOGRAPHED)
+    own = max(rated, key=lambda one: one.severity)
+    yield replace(own, name="photograph", value=own.name, rating=Rating.of(own.severity))
+    yield _highlight(seen)
+    before, after = seen.highlights
+    if before and after and (visible(before) or visible(after)):
+        yield CHECKS["highlight_width"].finding(after.width / before.width)
+    yield CHECKS["light"].finding(seen.light)
+    yield CHECKS["colour"].finding(max(map(abs, seen.colour)))
+    yield CHECKS["texture"].finding(seen.texture)
+    yield _contrast(seen)
+    yield _pattern(seen)
+    yield from _exemplar(seen.exemplar)
 
 
 def more_photographs(given: int, *, repeats: bool = False) -> str:
@@ -248,32 +212,21 @@ def visible(highlight: Highlight | None) -> bool:
     return highlight is not None and highlight.width < _WIDEST and highlight.contrast > _FAINTEST
 
 
-def _highlight(seen: Measurements, more: str) -> Iterator[Finding]:
-    """Findings on the highlight: contrast, glints, position and width."""
-    yield _highlight_contrast(seen)
-    glints = math.nan if seen.profile is None else seen.profile.glint_ratio
-    yield CHECKS["glint_contrast"].finding(glints, more=more)
-    before, after = seen.highlights
-    if before is None or after is None or not (visible(before) or visible(after)):
-        return
-    distance = math.dist(before.centre, after.centre)
-    tolerance = _PLACE_TOLERANCE[0] + _PLACE_TOLERANCE[1] * before.width
-    yield CHECKS["highlight_place"].finding(distance / tolerance, off=50.0 * distance)
-    yield CHECKS["highlight_width"].finding(after.width / before.width)
-
-
-def _highlight_contrast(seen: Measurements) -> Finding:
-    """Highlight contrast, re-rendered over photographed: the worse of ring and peak contrast.
+def _highlight(seen: Measurements) -> Finding:
+    """Highlight contrast, re-rendered over photographed: the worst of rings, peak and glints.
 
     Ring means miss a peak of a few texels, and a highlight that is not at the mirror point.
     """
     check, profile = CHECKS["highlight_contrast"], seen.profile
-    ratios = [_peak_ratio(*seen.highlights), math.nan if profile is None else profile.ratio]
-    known = [ratio for ratio in ratios if math.isfinite(ratio)]
-    ratio = max(known, key=check.severity, default=math.nan)
+    whole, parts = "highlight is", "glints in the highlight are"
+    ratios = [(_peak_ratio(*seen.highlights), whole)]
+    if profile is not None:
+        ratios += [(profile.ratio, whole), (profile.glint_ratio, parts)]
+    known = (one for one in ratios if math.isfinite(one[0]))
+    ratio, what = max(known, key=lambda one: check.severity(one[0]), default=(math.nan, whole))
     clipped = 0.0 if profile is None or not profile.bound else profile.clipped[0]
     bound = f", or less: {clipped:.0%} of the photograph's highlight is clipped" if clipped else ""
-    return check.finding(ratio, bound=bound)
+    return check.finding(ratio, what=what, bound=bound if what is whole else "")
 
 
 def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
@@ -289,7 +242,7 @@ def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
     return second / first
 
 
-def _contrast(seen: Measurements, more: str) -> Finding:
+def _contrast(seen: Measurements) -> Finding:
     """Finding on texture contrast, in the band and region that differ most."""
     factors = {
         band: (after + UNSEEN) / (before + UNSEEN)
@@ -298,42 +251,37 @@ def _contrast(seen: Measurements, more: str) -> Finding:
     band = max(factors, key=lambda name: abs(math.log(factors[name])))
     factor = factors[band]
     says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
-    return CHECKS["contrast"].finding(factor, more=more, band=band, more_or_less=says)
+    return CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
 
 
-def _connectivity(seen: Measurements) -> Finding:
-    """Finding on how well the pattern's dark or bright lines are connected."""
-    check = CHECKS["connectivity"]
-    if seen.connectivity is None:
-        return check.finding(math.nan)
-    before, after = seen.connectivity
-    which, change = ("dark", after - before) if before > 0.0 else ("bright", before - after)
-    more_or_less = "more" if change > 0.0 else "less"
-    return check.finding(math.exp(abs(change)), which=which, more_or_less=more_or_less)
+def _pattern(seen: Measurements) -> Finding:
+    """Finding on a pattern: how regular a lattice is, how connected dark or bright lines are."""
+    lost = []
+    if seen.order is not None and seen.order[0] >= _LEAST_ORDER:
+        before, after = seen.order
+        kept = min(max(after, 0.0) / before, 1.0)
+        lost.append((1.0 - kept, f"the pattern is {kept:.0%} as regular as in the photograph"))
+    if seen.connectivity is not None:
+        before, after = seen.connectivity
+        which, change = ("dark", after - before) if before > 0.0 else ("bright", before - after)
+        much = f"{math.exp(abs(change)):.2g} times {'more' if change > 0.0 else 'less'} connected"
+        # The cube root of a factor is as severe as the inverse of a share that is kept.
+        share = -math.expm1(-abs(change) / 3.0)
+        lost.append((share, f"{which} lines are {much} than in the photograph"))
+    value, what = max(lost, default=(math.nan, ""))
+    return CHECKS["pattern"].finding(value, what=what)
 
 
-def _order(seen: Measurements) -> Iterator[Finding]:
-    """Finding on how regular the pattern is; none for an aperiodic texture."""
-    if seen.order is None:
-        return
-    before, after = seen.order
-    kept = max(after, 0.0) / before if before >= _LEAST_ORDER else math.nan
-    yield CHECKS["order"].finding(1.0 - kept, kept=100.0 * min(kept, 1.0))
-
-
-def _exemplar(seen: ExemplarMeasurements, more: str) -> Iterator[Finding]:
-    """Findings on the exemplar; none without one."""
-    confidence, residue = seen.confidence, seen.residue
-    if confidence is not None:
-        yield CHECKS["exemplar"].finding(seen.error, more=more)
-        predicted = 1.0 - sum(confidence.values()) / len(confidence)
-        least = min(confidence, key=lambda name: confidence[name])
-        yield CHECKS["confidence"].finding(predicted, least=least)
-    if residue is not None:
+def _exemplar(seen: ExemplarMeasurements) -> Iterator[Finding]:
+    """Findings on the exemplar and its rearrangement; none without one."""
+    if seen.repeats:
+        yield CHECKS["repeat"].finding(seen.repeats)
+    if seen.residue is not None:
         # In the map where it is most visible.
+        residue = seen.residue
         name = max(RESIDUES, key=lambda name: residue[name] / RESIDUES[name][0])
         visible, says = RESIDUES[name]
         amount = says.format(residue[name] if name == "roughness" else math.exp(residue[name]))
-        yield CHECKS["highlight_residue"].finding(residue[name] / visible, more=more, amount=amount)
+        yield CHECKS["highlight_residue"].finding(residue[name] / visible, amount=amount)
     if math.isfinite(seen.steepness):
         yield CHECKS["steepness"].finding(seen.steepness)

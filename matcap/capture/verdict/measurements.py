@@ -146,8 +146,6 @@ class Measurements:
     """By band and region: root-mean-square log luminance of the texture."""
     order: tuple[float, float] | None
     """Autocorrelation at a lag of one period, at most 1; None without a lattice."""
-    offset: float
-    """Distance of the flash from the lens, plane units."""
     connectivity: tuple[float, float] | None = None
     """log(mean cluster size of dark texels over bright ones) (measurements.py); None if the picture
     is too small."""
@@ -169,6 +167,7 @@ def measure_capture(
     valid: TexelMask,
     waves: tuple[Wave, ...] = (),
     exemplar: ExemplarMeasurements | None = None,
+    inspected: Inspection | None = None,
 ) -> Measurements:
     """Measure the differences between a photograph and its re-rendering.
 
@@ -180,6 +179,7 @@ def measure_capture(
         valid: (H, W) bool, visible and not clipped.
         waves: frequency vectors of its lattice, cycles per texel.
         exemplar: measurements on the exemplar, if there is one.
+        inspected: the photograph's checks, with those of its highlight; by default without.
     """
     exemplar = exemplar or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
@@ -192,7 +192,7 @@ def measure_capture(
     plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=limit)
     rendering = planes_of(pictures[1])
     return Measurements(
-        photograph=inspect_photo(photo, setup.tilt),
+        photograph=inspected or inspect_photo(photo, setup.tilt),
         highlights=highlights,
         profile=highlight_profile(pictures, inside, valid, setup, limit),
         colour=colour,
@@ -200,7 +200,6 @@ def measure_capture(
         texture=texture_difference(plane, rendering),
         contrast=texture_contrasts(*pictures, developed=not (photo.radiometric or photo.floating)),
         order=_order(plane, rendering, waves) if waves else None,
-        offset=math.hypot(*setup.offset[:2]),
         connectivity=connectivity(
             (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
         ),
