@@ -33,7 +33,7 @@ class ReadOptions(CheckedSettings):
     generator: Generator | None = setting(
         None,
         words=("example", "decoder"),
-        otherwise="example, where the material has an exemplar",
+        otherwise="the one that capture found nearer",
     )
     """Rearrange the photographed rectangle (example), or run the fine-tuned network (decoder)."""
     adjust: Adjustments | None = setting(None, metavar="NAME=VALUE,...", parse=_adjustments)
