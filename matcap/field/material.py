@@ -10,6 +10,8 @@ Tensors:
     decoder.*: weights of the fine-tuned decoder, where there is one.
     drawing.*: as example.*, of the exemplar that the decoder draws from, if it does.
     code: (64,), the latent vector it was fine-tuned at.
+    latent: (72,), the photograph's position in the prior's space: code, then what else mean maps
+        have (space/prior/store.py); absent in older files.
     moments.*.mean: (channels of layer *,), frozen mean of its AdaIN's input.
     moments.*.deviation: (channels of layer *,), frozen standard deviation of it.
 
@@ -29,6 +31,8 @@ Metadata:
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and `drawing`
         (channels of lattice cells and of the drawing, 0 or 2); absent without a decoder.
     waves: at most two `{fx, fy}`, cycles per texel: the decoder's lattice.
+    latent: `prior`, the SHA-256 of its file, and `waves` of the photograph, cycles per texel
+        of a drawn material.
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ from matcap.errors import UsageError
 from matcap.field.field import Field
 from matcap.field.header import FORMAT, VERSION, VERSIONS, opened
 from matcap.field.source import FieldGenerator, Generator
+from matcap.files.settings import bounded
 from matcap.files.tensors import write_tensors
 from matcap.flash.geometry import FlashSetup
 
@@ -60,6 +65,46 @@ GENERATORS: Mapping[Generator, str] = {
 
 
 PartKind = TypeVar("PartKind")
+
+
+CODE, LATENT = 64, 72  # numbers of a latent vector, and of a position in the prior's space
+
+
+@dataclass(frozen=True)
+class Latent:
+    """A photograph's position in the space of a prior."""
+
+    numbers: Tensor
+    """(LATENT,)."""
+    waves: tuple[tuple[float, float], ...]
+    """Its lattice, cycles per texel of a drawn material."""
+    prior: str
+    """SHA-256 of the prior's file."""
+
+    @property
+    def code(self) -> Tensor:
+        """(CODE_SIZE,) the latent vector that decoders take."""
+        return self.numbers[:CODE]
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """The description for a file."""
+        return {"prior": self.prior, "waves": [list(wave) for wave in self.waves]}
+
+    @staticmethod
+    def read(entry: Mapping[str, Any], numbers: Tensor) -> Latent:
+        """The inverse of `entry`, checked.
+
+        Raises:
+            DAMAGED (field/header.py): an entry is malformed.
+        """
+        if numbers.shape != (LATENT,) or not numbers.isfinite().all():
+            raise ValueError(f"latent is not {LATENT} numbers")
+        waves = tuple(
+            (bounded(fx, "fx", -1.0, 1.0), bounded(fy, "fy", -1.0, 1.0))
+            for fx, fy in entry["waves"][:2]
+        )
+        return Latent(numbers.float(), waves, str(entry["prior"])[:64])
 
 
 @dataclass(frozen=True)
@@ -78,6 +123,8 @@ class Material:
     """Record of how it was made; JSON."""
     default: Generator | None = None
     """Which of two generators makes its maps; None is "example"."""
+    latent: Latent | None = None
+    """The photograph's position in the prior's space; None where it was not encoded."""
 
     def part(self, kind: type[PartKind]) -> PartKind | None:
         """The generator of this class, or None."""
@@ -191,6 +238,8 @@ class Material:
             arrays, described = part.in_file(beside)
             tensors |= arrays
             about |= described
+        if self.latent is not None:
+            tensors["latent"], about["latent"] = self.latent.numbers, self.latent.entry
         write_tensors(Path(path), tensors, {"matcap": json.dumps(about)})
 
     @staticmethod
@@ -215,6 +264,9 @@ class Material:
                 setup=FlashSetup(**about["setup"]),
                 provenance=about["provenance"],
                 default=about.get("generator"),
+                latent=Latent.read(about["latent"], file.get_tensor("latent"))
+                if "latent" in about
+                else None,
             )
 
 

@@ -70,10 +70,10 @@ _MOST_STEPS = 256
 class DrawOptions(CheckedSettings):
     """Options of drawing a material from the prior."""
 
-    like: Path | None = setting(None, metavar="PHOTO")
-    """Draw a material similar to this flash photograph's."""
+    like: Path | None = setting(None, metavar="PHOTO|MATERIAL")
+    """Draw a material similar to that of this photograph, or to this captured one."""
     spread: float = setting(SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1")
-    """Distance of the draw from the photograph: 0 is the photograph, 1 is independent of it."""
+    """Distance of the draw from it: 0 is the photograph, 1 is independent of it."""
 
 
 @dataclass(frozen=True)

@@ -382,9 +382,7 @@ def read(
     )
 
 
-def _drawing(
-    about: Mapping[str, Any], file: safe_open, beside: FieldGenerator | None
-) -> Drawing:
+def _drawing(about: Mapping[str, Any], file: safe_open, beside: FieldGenerator | None) -> Drawing:
     """The drawing of an exemplar of its own, lying, or of the material's, upright."""
     if "finer" not in about["drawing"]:
         return Drawing(example_of(about, file, "drawing"))

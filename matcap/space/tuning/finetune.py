@@ -439,7 +439,7 @@ def decode_window(
     full = size + 2 * margin
     patch = Patch(seed, Rectangle(0, 0, full, full))
     noise = noise_field(replace(patch, period=(full, full)), config.noise_channels)[None]
-    waves = lattice_levels(patch, scene.waves, config.cells, DEPTH)
+    waves = lattice_levels(patch, scene.waves, config.cells, DEPTH) if scene.waves else ()
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         drawing = () if lesson is None else lesson.drawing
         raw = decode(RandomField(noise, waves, drawing))
