@@ -422,7 +422,7 @@ def resolve(settings: CaptureSettings) -> Effort:
     if settings.detail is not None:
         effort = replace(effort, detail=settings.detail)
     if settings.generator == "decoder":
-        return replace(effort, beside=0)
+        return effort
     both = settings.generator is None and settings.time_limit is None
     return replace(effort, steps=effort.beside if both else 0)
 

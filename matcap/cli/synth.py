@@ -19,7 +19,7 @@ from matcap.cli.options import (
     printer,
     with_settings,
 )
-from matcap.errors import ExitCode, UsageError
+from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.field.options import BlendOptions, DrawOptions, ReadOptions, SampleOptions
 from matcap.synth.request import SynthArea, SynthRequest, Work
 
