@@ -17,8 +17,7 @@ from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.by_decoder import photograph_target, tuned_decoder
-from matcap.capture.method import Method
-from matcap.capture.rectified import Rectified
+from matcap.capture.rectified import Method, Rectified
 from matcap.capture.result import CaptureResult, GeneratorChoice, Tuning
 from matcap.capture.settings import CaptureClock, Effort
 from matcap.example.example import Example
