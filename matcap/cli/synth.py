@@ -274,6 +274,7 @@ def blend(
 
     asked = chosen(BlendOptions, given)
     (first, one), (second, other) = open_material(first), open_material(second)
+    one, other = one.by(asked.generator), other.by(asked.generator)
     stems = "_".join(usable_name(path.stem)[:60] for path in (first, second))
     places = 3 if len({round(t, 3) for t in asked.shares}) == len(asked.shares) else 6
     names = [f"{stems}_{t:.{places}f}.matcap" for t in asked.shares]

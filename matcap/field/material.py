@@ -25,8 +25,8 @@ Metadata:
         true where setup is of the photograph in landscape orientation and the maps are in portrait.
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
-    drawing: as example, of that exemplar; or `finer`, the exemplar's texels along one of the
-        decoder's, where the decoder draws from the material's own exemplar.
+    drawing: as example, of that exemplar; without its descriptions where it is the material's own.
+        `finer`: its texels along one of the decoder's, 1 if absent; `turned`: whether it is upright.
     generator: which of two makes its maps by default; absent with one.
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and `drawing`
         (channels of lattice cells and of the drawing, 0 or 2); absent without a decoder.

@@ -118,6 +118,11 @@ def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
 class BlendOptions(CheckedSettings):
     """Options of `matcap blend`."""
 
+    generator: Generator | None = setting(
+        None, words=("example", "decoder"), otherwise="the ones that make their maps"
+    )
+    """Interpolate the exemplars (example), or the networks through the space (decoder)."""
+
     shares: tuple[float, ...] = setting(
         (0.5,), option="-t", metavar="T|FROM:TO:COUNT", parse=shares, otherwise="0.5"
     )

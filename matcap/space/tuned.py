@@ -331,12 +331,17 @@ class TunedDecoder:
             "decoder": config_document(self.decoder.config),
             "waves": [wave._asdict() for wave in self.waves],
         }
-        if self.drawing is not None and self.drawing.example is beside:
-            about["drawing"] = {"finer": self.drawing.finer}
-        elif self.drawing is not None:
-            read, described = self.drawing.example.in_file(entry="drawing")
-            tensors |= read
-            about |= described
+        drawing = self.drawing
+        if drawing is not None:
+            about["drawing"] = {}
+            if drawing.example is not beside:
+                read, described = drawing.example.in_file(entry="drawing")
+                tensors |= read
+                about |= described
+            if drawing.finer > 1:
+                about["drawing"] |= {"finer": drawing.finer}
+            if drawing.turned:
+                about["drawing"] |= {"turned": True}
         return tensors, about
 
 
@@ -383,12 +388,14 @@ def read(
 
 
 def _drawing(about: Mapping[str, Any], file: safe_open, beside: FieldGenerator | None) -> Drawing:
-    """The drawing of an exemplar of its own, lying, or of the material's, upright."""
-    if "finer" not in about["drawing"]:
-        return Drawing(example_of(about, file, "drawing"))
-    if not isinstance(beside, Example):
-        raise ValueError("the exemplar that the decoder draws from is missing")
-    finer = whole(about["drawing"]["finer"], "finer", 1, _FINEST)
+    """The drawing of an exemplar of its own, or of the material's."""
+    entry = about["drawing"]
+    finer = whole(entry.get("finer", 1), "finer", 1, _FINEST)
     if finer & (finer - 1):
         raise ValueError(f"finer is {finer}, no power of two")
-    return Drawing(beside, finer, about["setup"]["turned"])
+    turned = entry.get("turned", False) is True
+    if "exemplar" in entry:
+        return Drawing(example_of(about, file, "drawing"), finer, turned)
+    if not isinstance(beside, Example):
+        raise ValueError("the exemplar that the decoder draws from is missing")
+    return Drawing(beside, finer, turned)

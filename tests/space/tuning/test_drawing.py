@@ -269,6 +269,8 @@ def test_beside_an_exemplar_it_draws_from_that(tmp_path, turned):
         for _ in [material.save(tmp_path / name)]
     ]
     assert (tmp_path / "both.matcap").stat().st_size < sum(sizes)
+    alone = Material.load(tmp_path / "b")
+    assert torch.equal(alone.maps(64, 48, seed=3, x=16, y=-32).stacked(), one.stacked())
 
 
 def test_a_decoder_is_not_read_without_the_exemplar_that_it_draws_from(tmp_path, monkeypatch):
