@@ -38,7 +38,9 @@ from matcap.space.tuning.windows import (
 )
 from matcap.statistics.compare import FilterBank, FilterBankConfig
 
-RATE = 5e-3  # highest learning rate; docs/notes/prior.md
+# Highest learning rate, factor on it of weights that read the drawing, steps of warm-up; the
+# start reads it already. docs/notes/prior.md
+RATE, DRAWING_RATE, WARM_UP = 3e-3, 3.0, 3
 
 
 def with_decoder(
@@ -86,7 +88,13 @@ def _tuned(
         most = effort.steps * effort.places
         target = photograph_target(lying, settings, Method(), most)
         unit = self_difference(target.windows, target.weights)
-        tune = TuneSettings(steps=effort.steps, places=effort.places, seed=settings.seed)
+        tune = TuneSettings(
+            effort.steps,
+            places=effort.places,
+            drawing_rate=DRAWING_RATE,
+            warm_up=WARM_UP,
+            seed=settings.seed,
+        )
     with clock.stage("start"):
         base = base_of(coarse, log_contrast(plane.linear, plane.valid))
         start = InitialDecoder(fold(load_drawing_start(), base), latent.code, RATE)

@@ -26,7 +26,7 @@ Metadata:
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
     drawing: as example, of that exemplar; without its descriptions where it is the material's own.
-        `finer`: its texels along one of the decoder's, 1 if absent; `turned`: whether it is upright.
+        `finer`: its texels along one of the decoder's, 1 if absent; `turned`: if it is upright.
     generator: which of two makes its maps by default; absent with one.
     decoder: `noise_channels`, `widths` (five), `convolutions` (down, up), `cells` and `drawing`
         (channels of lattice cells and of the drawing, 0 or 2); absent without a decoder.
@@ -84,7 +84,7 @@ class Latent:
     @property
     def code(self) -> Tensor:
         """(CODE_SIZE,) the latent vector that decoders take."""
-        return self.numbers[:CODE]
+        return self.numbers[:CODE].clone()  # files hold no tensor twice
 
     @property
     def entry(self) -> dict[str, Any]:
