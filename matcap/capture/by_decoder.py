@@ -241,7 +241,7 @@ def capture_by_decoder(
         )
     start = _start(rectified, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
-    decoder, tuned = _tuned_decoder(rectified, start, target, tune, clock, window_distance)
+    decoder, tuned = tuned_decoder(plane.texel_size, start, target, tune, clock, window_distance)
     about = provenance(rectified, settings, effort, [])
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
@@ -280,8 +280,8 @@ def _start(
         )
 
 
-def _tuned_decoder(
-    rectified: Rectified,
+def tuned_decoder(
+    texel_size: float,
     start: InitialDecoder,
     target: PhotographTarget,
     tune: TuneSettings,
@@ -290,10 +290,11 @@ def _tuned_decoder(
 ) -> tuple[TunedDecoder, Tuned]:
     """Fine-tune a decoder, with a drawing among its inputs if the target has one.
 
-    `window_distance` is the unit of the errors that the clock reports.
+    Its texels have a side of `texel_size` plane units; `window_distance` is the unit of the errors
+    that the clock reports. A start that reads a drawing has its own rate.
     """
     decoder, rate = start.decoder, start.rate
-    if target.drawing is not None:
+    if target.drawing is not None and not decoder.config.drawing:
         decoder, rate = with_drawing(decoder), RATE_WITH_DRAWING
     with clock.stage("fine-tuning"):
         limit, unit = clock.left_for("fine-tuning"), window_distance or math.nan
@@ -309,7 +310,7 @@ def _tuned_decoder(
     clock.interrupted |= tuned.interrupted
     network = tuned.decoder.eval().requires_grad_(False)
     made = TunedDecoder(
-        network, start.code, tuned.moments, target.waves, rectified.whole.texel_size, target.drawing
+        network, start.code, tuned.moments, target.waves, texel_size, target.drawing
     )
     return made, tuned
 

@@ -19,6 +19,7 @@ from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.report import write_outputs
 from matcap.capture.result import CaptureResult, judge_material, provenance
 from matcap.capture.settings import (
+    BOTH_STAGES,
     DECODER_STAGES,
     DETAIL,
     DRAWING_STAGES,
@@ -32,7 +33,7 @@ from matcap.capture.settings import (
     resolve,
 )
 from matcap.errors import MatcapError, UsageError
-from matcap.field.material import Material
+from matcap.field.material import Latent, Material
 from matcap.files.process import postponed
 from matcap.flash.highlight import limit_sparkles
 from matcap.photo.left_out import leave_out
@@ -175,11 +176,15 @@ def capture_photo(
     method, clock = method or Method(), clock or clock_of(settings, progress, 1 + len(others))
     check_photographs(settings, 1 + len(others))
     effort = resolve(settings)
+    if others:
+        effort = replace(effort, steps=0)
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
         rectified = _rectified(photo, settings, method, clock).at_input_resolution()
-        return capture_by_decoder(rectified, settings, effort, method, clock)
+        result = capture_by_decoder(rectified, settings, effort, method, clock)
+        latent = _latent(rectified, settings)
+        return replace(result, material=replace(result.material, latent=latent))
     if others:
         from matcap.capture.multiview.estimate import estimate_multiview
 
@@ -200,8 +205,26 @@ def capture_photo(
         texel_size=rectified.whole.texel_size,
         setup=replace(rectified.coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
         provenance=provenance(rectified, settings, effort, several),
+        latent=_latent(rectified, settings),
     )
-    return judge_material(rectified, material, settings, clock, estimate)
+    result = judge_material(rectified, material, settings, clock, estimate)
+    if not effort.steps or result.interrupted:
+        return result
+    from matcap.capture.beside import with_decoder
+
+    return with_decoder(result, rectified, effort, clock)
+
+
+def _latent(rectified: Rectified, settings: CaptureSettings) -> Latent:
+    """The photograph's position in the prior's space; of several, the first one's."""
+    from matcap.space.prior.store import load_prior
+
+    named = settings.prior not in ("auto", "none")
+    prior, photo = load_prior(Path(settings.prior) if named else None), rectified.photo
+    pixels = photo.developed(photo.pixels)  # as the encoder was trained on
+    return prior.kept(
+        prior.anchor(pixels, rectified.coarse, rectified.network_input, rectified.input_waves)
+    )
 
 
 def clock_of(
@@ -213,6 +236,8 @@ def clock_of(
     """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
     by_example = MULTIVIEW_STAGES if photographs > 1 else EXEMPLAR_STAGES
     by_decoder = DRAWING_STAGES if settings.draws else DECODER_STAGES
+    if photographs == 1 and settings.generator is None and resolve(settings).steps:
+        by_example = BOTH_STAGES
     stages = by_decoder if settings.generator == "decoder" else by_example
     return CaptureClock(progress, stages, settings.time_limit, spent)
 

@@ -139,9 +139,13 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
 
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
+        if result.choice is not None:
+            decoded = block(list(decoder_panels(result, result.choice.decoded)))
+            blocks.append(titled(decoded, "The material, by the decoder"))
         exemplar = block(list(exemplar_panels(result, result.estimate)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),
+            *blocks[1:],
             titled(exemplar, "The photographed rectangle itself"),
         ]
         several = result.several
@@ -177,6 +181,8 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
     shown = "Pictures are at the photograph's exposure; those under other lights, at its mean."
     if exposure is not None:
         shown += f" The photograph's: time x ISO / f-number^2 = {exposure:.3g}."
+    if result.choice is not None:
+        shown = f"{result.choice.sentence()} {shown}"
     below = textwrap.wrap(shown, _VERDICT_WIDTH)
     line = Image.new("RGB", (width, 20 + 28 * (len(lines) + len(below))), _PAPER)
     draw, font = ImageDraw.Draw(line), ImageFont.load_default(size=20)
@@ -213,6 +219,19 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
     yield replace(_developed("re-rendered", result, whole, close), hidden=hidden)
     for panel in lit_panels(maps, whole, setup):
         yield replace(panel, hidden=hidden)
+
+
+def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
+    """Panels of the decoder's field beside that by example: as panels(), less the photograph."""
+    import torch
+
+    from matcap.flash.light import render_rectified
+    from matcap.flash.rectify import picture_of
+
+    with torch.inference_mode():
+        rerendered = picture_of(render_rectified(maps, result.material.setup))
+    yield _developed("re-rendered", result, rerendered)
+    yield from lit_panels(maps, rerendered, result.material.setup)
 
 
 def _hidden(result: CaptureResult) -> NDArray[np.bool_] | None:

@@ -43,6 +43,9 @@ Keys:
     tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
         between neighbouring windows of the photograph), `relative_error` (their ratio) and
         `error_over_time` (seconds, step and error).
+    generators: of two, or null: `generator`, which makes the maps by default, and `distances`, of
+        the texture of each one's field to the photograph's (capture/beside.py).
+    latent: `code` of the photograph by the prior's encoder, and `prior`, the SHA-256 of its file.
     exemplar: or null: `error` (median difference of log radiance between photograph and
         re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
         that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
@@ -321,6 +324,8 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "seconds": sum(result.stage_seconds.values()),
         "stage_seconds": dict(result.stage_seconds),
         "tuning": _tuning(result.tuning),
+        "generators": result.choice and result.choice.document(),
+        "latent": _latent(result),
         "exemplar": _exemplar(result),
         "multi_view": several and several.document(),
         "provenance": result.material.provenance,
@@ -335,7 +340,8 @@ def report(result: CaptureResult) -> dict[str, Any]:
 
 def _effort(result: CaptureResult) -> dict[str, Any]:
     effort = asdict(result.effort)
-    if result.settings.generator != "decoder":
+    del effort["beside"]
+    if result.tuning is None:
         del effort["places"], effort["matched"]
     else:
         effort["windows_per_step"] = effort.pop("places")
@@ -355,6 +361,13 @@ def _tuning(tuning: Tuning | None) -> dict[str, Any] | None:
             {"seconds": seconds, "step": step, "error": error} for seconds, step, error in history
         ],
     }
+
+
+def _latent(result: CaptureResult) -> dict[str, Any] | None:
+    latent = result.material.latent
+    if latent is None:
+        return None
+    return {"prior": latent.prior, "code": [round(v, 4) for v in latent.code.tolist()]}
 
 
 def _exemplar(result: CaptureResult) -> dict[str, Any] | None:

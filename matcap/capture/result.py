@@ -21,6 +21,7 @@ from matcap.capture.verdict.causes import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
 from matcap.capture.verdict.measurements import Measurements, measure_capture
 from matcap.field.material import Material
+from matcap.field.source import Generator
 from matcap.files.process import postponed
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
@@ -45,6 +46,30 @@ class Tuning:
         if not self.history or not self.self_difference > 0.0:
             return None
         return self.history[-1][2] / self.self_difference
+
+
+@dataclass(frozen=True)
+class GeneratorChoice:
+    """The generator that makes a material's maps, of two, by measures (beside.py)."""
+
+    generator: Generator
+    """The nearer one."""
+    distances: Mapping[Generator, float]
+    """Texture distance to the photograph, by generator: the lesser is nearer."""
+    decoded: MapSet
+    """Maps of the decoder's field, as large as the photograph."""
+
+    def sentence(self) -> str:
+        """Which makes the maps, and both distances."""
+        one, other = (self.distances[name] for name in ("example", "decoder"))
+        return (
+            f"Maps are by default made by the {self.generator}: its texture is the nearer one "
+            f"(by the example {one:.2f} from the photograph's, by the decoder {other:.2f})."
+        )
+
+    def document(self) -> dict[str, Any]:
+        """The choice for JSON."""
+        return {"generator": self.generator, "distances": dict(self.distances)}
 
 
 @dataclass(frozen=True)
@@ -75,6 +100,8 @@ class CaptureResult:
     """The exemplar; None with a decoder without drawing or `aligned`."""
     tuning: Tuning | None = None
     """Course of fine-tuning; None without a decoder."""
+    choice: GeneratorChoice | None = None
+    """Choice between two generators; None with one."""
 
     @property
     def photographs(self) -> int:
@@ -88,8 +115,10 @@ class CaptureResult:
 
     @property
     def effort(self) -> Effort:
-        """Effort that the settings resolve to."""
-        return resolve(self.settings)
+        """Effort that the settings resolve to; without steps where none was taken."""
+        effort = resolve(self.settings)
+        alone = self.tuning is None and self.settings.generator is None
+        return replace(effort, steps=0) if alone else effort
 
     @property
     def tilt_sources(self) -> Mapping[str, Any] | None:

@@ -81,6 +81,8 @@ class Effort:
     """Match a decoder's mean and contrast after fine-tuning (space/tuning/match.py)."""
     detail: int = FINE_DETAIL
     """Texels along the exemplar's long side, at most the photograph's pixels."""
+    beside: int = 0
+    """Steps of fine-tuning a decoder beside the exemplar of one photograph; 0 without one."""
 
 
 # docs/notes/accuracy-and-time.md compares their accuracy and time.
@@ -90,7 +92,7 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
         for effort in (
             Effort("instant", 0, detail=QUICK_DETAIL),
             Effort("draft", 32, matched=False, detail=DETAIL),
-            Effort("standard", 112, places=3),
+            Effort("standard", 112, places=3, beside=20),
         )
     }
 )
@@ -144,8 +146,8 @@ class CaptureSettings(CheckedSettings):
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """Texels across: instant (512, a preview), draft (1024) or standard (2048). A decoder
-    has 1024, and 0, 32 or 112 steps of fine-tuning."""
+    """Texels across: instant (512, a preview), draft (1024) or standard (2048), which fine-tunes a
+    decoder, too. A decoder alone has 1024, and 0, 32 or 112 steps of fine-tuning."""
     steps: int | None = setting(None, least=0, most=10_000_000, group="Decoder")
     """With the decoder: steps of fine-tuning, instead of the preset's."""
     time_limit: float | None = setting(
@@ -202,9 +204,14 @@ class CaptureSettings(CheckedSettings):
         Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse, group="Decoder"
     )
     """With the decoder: features whose statistics measure the texture distance."""
-    generator: Generator = setting("example", words=("decoder", "example"), group="Decoder")
-    """Generator of the material: the maps of the photographed rectangle, rearranged (example), or
-    the paper's network, fine-tuned (decoder)."""
+    generator: Generator | None = setting(
+        None,
+        words=("decoder", "example"),
+        otherwise="both by the preset standard, of one photograph",
+        group="Decoder",
+    )
+    """Only one generator: the maps of the photographed rectangle, rearranged (example), or the
+    paper's network, fine-tuned (decoder). Of both, the nearer makes the maps."""
     drawing: bool = setting(True, group="Decoder")
     """With the decoder: add log luminance and relief of the rearranged exemplar to its inputs, so
     that the material has the photograph's pattern; without, its input is noise alone, as in the
@@ -233,7 +240,7 @@ class CaptureSettings(CheckedSettings):
         """All settings by name as JSON values."""
         document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
-        for name in ("white", *_BY_HAND):
+        for name in ("white", "generator", *_BY_HAND):
             if document[name] is None:
                 del document[name]
         document |= {
@@ -459,7 +466,10 @@ def resolve(settings: CaptureSettings) -> Effort:
         effort = replace(UNLIMITED, detail=detail)
     if settings.detail is not None:
         effort = replace(effort, detail=settings.detail)
-    return effort if settings.generator == "decoder" else replace(effort, steps=0)
+    if settings.generator == "decoder":
+        return effort
+    both = settings.generator is None and settings.time_limit is None
+    return replace(effort, steps=effort.beside if both else 0)
 
 
 # Progress of a capture: its stages, each with its share of the time.
@@ -480,6 +490,16 @@ EXEMPLAR_STAGES: Mapping[str, float] = MappingProxyType(
         "write": 0.17,
     }
 )
+_BESIDE = {
+    "statistics": 0.02, "start": 0.01, "fine-tuning": 0.22, "matching": 0.06, "choice": 0.04,
+}  # fmt: skip
+_ALONE = 1.0 - sum(_BESIDE.values())
+_TIMES = {name: _ALONE * share for name, share in EXEMPLAR_STAGES.items()}
+# The same with a decoder beside the exemplar.
+BOTH_STAGES: Mapping[str, float] = MappingProxyType(
+    {**{name: share for name, share in _TIMES.items() if name != "write"}, **_BESIDE,
+     "write": _TIMES["write"]}
+)  # fmt: skip
 # The same of five photographs of one sample.
 MULTIVIEW_STAGES: Mapping[str, float] = MappingProxyType(
     {
@@ -533,7 +553,9 @@ SHOWN_STAGES: Mapping[str, str] = {
     ),
     "inpaint": "filling the highlight",
     "index": "preparing the texture",
-    **dict.fromkeys(("statistics", "start", "fine-tuning", "matching"), "training the decoder"),
+    **dict.fromkeys(
+        ("statistics", "start", "fine-tuning", "matching", "choice"), "training the decoder"
+    ),
     "verdict": "checking",
     "write": "writing",
 }

@@ -19,7 +19,7 @@ from matcap.cli.options import (
     printer,
     with_settings,
 )
-from matcap.errors import ExitCode, UsageError
+from matcap.errors import ExitCode, MatcapError, UsageError
 from matcap.field.options import BlendOptions, DrawOptions, ReadOptions, SampleOptions
 from matcap.synth.request import SynthArea, SynthRequest, Work
 
@@ -219,16 +219,25 @@ def _called(like: Path | None) -> str:
 
 
 def drawing(near: DrawOptions, prior: Path | None = None) -> Callable[[int], Material]:
-    """Materials by their seed, near a photograph where one is given."""
+    """Materials by their seed, near a photograph or a captured material where one is given."""
     from functools import partial
 
+    from matcap.field.opened import open_material
     from matcap.photo.load import load_photo
     from matcap.space.prior.store import DETAIL, load_prior
 
     space = load_prior(prior)
     if near.like is None:
         return partial(space.draw, spread=near.spread)
-    place = space.place(load_photo(near.like, long_side=DETAIL, noise=False))
+    if near.like.is_dir() or near.like.suffix.lower() == ".matcap":
+        latent = open_material(near.like)[1].latent
+        if latent is None:
+            raise MatcapError.at(
+                near.like, "this material has no latent code", "capture its photograph again"
+            )
+        place = space.near(latent)
+    else:
+        place = space.place(load_photo(near.like, long_side=DETAIL, noise=False))
     return partial(space.draw, near=place, spread=near.spread, name=_called(near.like))
 
 
@@ -266,6 +275,7 @@ def blend(
 
     asked = chosen(BlendOptions, given)
     (first, one), (second, other) = open_material(first), open_material(second)
+    one, other = one.by(asked.generator), other.by(asked.generator)
     stems = "_".join(usable_name(path.stem)[:60] for path in (first, second))
     places = 3 if len({round(t, 3) for t in asked.shares}) == len(asked.shares) else 6
     names = [f"{stems}_{t:.{places}f}.matcap" for t in asked.shares]

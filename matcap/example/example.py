@@ -127,6 +127,11 @@ class Example:
         return 1 << (detail_bits(self.exemplar) + len(self.index.bases) - 1)
 
     @property
+    def texel_size(self) -> float:
+        """Side of a texel, plane units."""
+        return self.exemplar.texel_size
+
+    @property
     def piece_size(self) -> tuple[int, int]:
         """(width, height) of the exemplar in texels."""
         return self.exemplar.size
@@ -195,8 +200,10 @@ class Example:
         # A file without a variety has variety 1.
         return tensors, described | ({} if self.variety == 1.0 else {"variety": self.variety})
 
-    def in_file(self, entry: str = "example") -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors and an entry of a material's description; the inverse of stored.example_of()."""
+    def in_file(
+        self, beside: object = None, entry: str = "example"
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors and an entry of a material's description; the inverse of example_of()."""
         import torch
 
         arrays, about = self.stored()
@@ -446,7 +453,7 @@ def coarse_places(example: Example, seed: int, level: int, area: Rectangle) -> P
 
 @dataclass(frozen=True)
 class Exemplified:
-    """A material's exemplar with its name and provenance."""
+    """A material's exemplar with its name, provenance and default generator."""
 
     name: str
     """Name of the material."""
@@ -454,6 +461,8 @@ class Exemplified:
     """Record of how it was made; JSON."""
     example: Example
     """The indexed exemplar."""
+    default: str = "example"
+    """Generator that makes the material's maps."""
 
 
 def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
@@ -467,19 +476,21 @@ def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
         MatcapError: missing, not a material, of another version, or damaged.
     """
     with opened(path, "np") as (file, about):
-        if entry not in about:
+        if not isinstance(about.get(entry), dict) or "exemplar" not in about[entry]:
             return None
         example = example_of(about, file, entry)
-        return Exemplified(about["name"], about["provenance"], example)
+        default = about.get("generator", "example")
+        return Exemplified(about["name"], about["provenance"], example, default)
 
 
-def read(about: Mapping[str, Any], file: Any, path: Path) -> Example | None:  # noqa: ANN401
+def read(about: Mapping[str, Any], file: Any, path: Path, beside: object) -> Example | None:  # noqa: ANN401
     """Read the exemplar of an opened material's file, or None if it has none.
 
     Args:
         about: the file's JSON description.
         file: opened for NumPy or for PyTorch.
         path: of the file.
+        beside: unused.
 
     Raises:
         SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.

@@ -90,7 +90,7 @@ class Field:
             both axes or for one, is endless.
         device: "cpu", "cuda", or "auto" for CUDA where available. Devices differ in the last bits.
             Maps are returned on the processor. The example generator always uses the processor.
-        generator: "example" or "decoder"; None is "example" where there is an exemplar.
+        generator: "example" or "decoder"; None is the material's default.
 
     Raises:
         UsageError: a seed or period out of range, no CUDA device, or a generator that the material

@@ -19,7 +19,7 @@ from matcap.files.names import digest_matches, sanitised_name
 from matcap.files.settings import bounded
 
 FORMAT = "matcap-material"
-VERSION = 5  # of the file
+VERSION, VERSIONS = 5, (5, 6)  # of the file; 6 has two generators
 REMEDY = "capture the photograph again, or fetch the file again"
 # Exceptions that reading malformed JSON values can raise.
 DAMAGED = (
@@ -80,10 +80,10 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
             f"this holds a {about['format']}, not a material",
             "give a .matcap file written by matcap capture",
         )
-    if about["version"] != VERSION:
+    if about["version"] not in VERSIONS:
         raise MatcapError.at(
             path,
-            f"this material is of version {about['version']}; this matcap reads {VERSION}",
+            f"this material is of version {about['version']}; this matcap reads {VERSIONS[-1]}",
             "capture the photograph again, or install the matcap that wrote it",
         )
     return _checked(about)
@@ -95,6 +95,8 @@ def _checked(about: dict[str, Any]) -> dict[str, Any]:
     Raises:
         DAMAGED: an entry is missing, of a wrong type or out of range.
     """
+    if about.get("generator", "example") not in ("example", "decoder"):
+        raise ValueError("its generator is neither example nor decoder")
     return about | {
         "name": sanitised_name(str(about["name"])),
         "texel_size": bounded(about["texel_size"], "texel_size", 1e-9, 1e3),

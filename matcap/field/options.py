@@ -33,7 +33,7 @@ class ReadOptions(CheckedSettings):
     generator: Generator | None = setting(
         None,
         words=("example", "decoder"),
-        otherwise="example, where the material has an exemplar",
+        otherwise="the one that capture found nearer",
     )
     """Rearrange the photographed rectangle (example), or run the fine-tuned network (decoder)."""
     adjust: Adjustments | None = setting(None, metavar="NAME=VALUE,...", parse=_adjustments)
@@ -69,10 +69,10 @@ _MOST_STEPS = 256
 class DrawOptions(CheckedSettings):
     """Options of drawing a material from the prior."""
 
-    like: Path | None = setting(None, metavar="PHOTO")
-    """Draw a material similar to this flash photograph's."""
+    like: Path | None = setting(None, metavar="PHOTO|MATERIAL")
+    """Draw a material similar to that of this photograph, or to this captured one."""
     spread: float = setting(SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1")
-    """Distance of the draw from the photograph: 0 is the photograph, 1 is independent of it."""
+    """Distance of the draw from it: 0 is the photograph, 1 is independent of it."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +116,11 @@ def shares(text: str | tuple[float, ...]) -> tuple[float, ...]:
 @dataclass(frozen=True)
 class BlendOptions(CheckedSettings):
     """Options of `matcap blend`."""
+
+    generator: Generator | None = setting(
+        None, words=("example", "decoder"), otherwise="the ones that make their maps"
+    )
+    """Interpolate the exemplars (example), or the networks through the space (decoder)."""
 
     shares: tuple[float, ...] = setting(
         (0.5,), option="-t", metavar="T|FROM:TO:COUNT", parse=shares, otherwise="0.5"

@@ -171,6 +171,11 @@ class FieldGenerator(Protocol):
         ...
 
     @property
+    def texel_size(self) -> float:
+        """A texel's side in plane units."""
+        ...
+
+    @property
     def piece_size(self) -> tuple[int, int] | None:
         """(width, height) of its exemplar in texels, or None."""
         ...
@@ -203,8 +208,13 @@ class FieldGenerator(Protocol):
         """
         ...
 
-    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Tensors by name, and entries of the JSON description, for the material's file."""
+    def in_file(
+        self, beside: FieldGenerator | None = None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Tensors by name, and entries of the JSON description, for the material's file.
+
+        `beside` is the generator whose exemplar the file has already.
+        """
         ...
 
 

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.example.example import Example
+from matcap.example.example import Example, coarsened
 from matcap.example.exemplar import Exemplar
 from matcap.example.interpolate import interpolated, pattern_of
 from matcap.example.variety import with_chosen_variety
@@ -115,7 +115,7 @@ def _blend_decoders(first: TunedDecoder, second: TunedDecoder, share: float) -> 
         code=code,
         moments=tuple(freeze(decoder, code, waves, drawing)),
         waves=waves,
-        texel_size=texel_size if drawing is None else drawing.example.exemplar.texel_size,
+        texel_size=texel_size if drawing is None else drawing.texel_size,
         drawing=drawing,
     )
 
@@ -124,8 +124,16 @@ def _blend_drawings(first: Drawing | None, second: Drawing | None, share: float)
     """The drawing of the interpolated exemplar; the only one where the other decoder has none."""
     if first is None or second is None:
         return first or second
-    one, other = first.example.exemplar, second.example.exemplar
+    one, other = (_lying(drawing) for drawing in (first, second))
     return Drawing(_indexed(interpolated(one, other, share)))
+
+
+def _lying(drawing: Drawing) -> Exemplar:
+    """A drawing's exemplar at its resolution, in landscape format."""
+    exemplar = coarsened(drawing.example.exemplar, drawing.finer.bit_length() - 1)
+    for _ in range(3 if drawing.turned else 0):  # by 90 degrees clockwise each
+        exemplar = exemplar.turned()
+    return exemplar
 
 
 def _of_one_shape(first: Decoder, second: Decoder) -> tuple[Decoder, Decoder]:

@@ -206,7 +206,8 @@ class ConvolutionLayer(nn.Module):
         border = self.convolution.weight.shape[-1] // 2  # of 1 x 1 and 3 x 3 kernels
         if periodic and border:
             features, border = wrap(features), 0
-        return F.conv2d(features, self.convolution.weight, padding=border)
+        # Lattice channels come last, and are left out where there is no lattice.
+        return F.conv2d(features, self.convolution.weight[:, : features.shape[1]], padding=border)
 
 
 class Decoder(nn.Module):

@@ -49,11 +49,26 @@ class Drawing:
     """The drawing of an example's field, at every seed; picklable."""
 
     example: Example
+    finer: int = 1
+    """Texels of the example along one of the drawing, which has means of them."""
+    turned: bool = False
+    """Whether the example is upright, 90 degrees clockwise, and the drawing lies."""
 
     @property
     def alignment(self) -> int:
         """Texels: periods of its field are multiples of this."""
-        return self.example.alignment
+        return max(1, self.example.alignment // self.finer)
+
+    @property
+    def texel_size(self) -> float:
+        """Side of a texel of the drawing, plane units."""
+        return self.finer * self.example.exemplar.texel_size
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the exemplar in texels of the drawing."""
+        width, height = (side // self.finer for side in self.example.exemplar.size)
+        return (height, width) if self.turned else (width, height)
 
     def levels(
         self, seed: int, area: Rectangle, period: Period | None = None
@@ -69,7 +84,20 @@ class Drawing:
 
     def around(self, seed: int, area: Rectangle, period: Period | None = None) -> Tensor:
         """Stacked maps of the field over an area and what levels_of() needs around it."""
-        return torch.from_numpy(self.example.maps(seed, area.grown(AROUND), period))
+        read, along = area.grown(AROUND), period or (None, None)
+        if self.turned:
+            read = Rectangle(read.y, read.x, read.height, read.width)
+            read, along = replace(read, x=-read.x - read.width), along[::-1]
+        x, y, width, height = (self.finer * n for n in (read.x, read.y, read.width, read.height))
+        finer = tuple(length and self.finer * length for length in along)
+        maps = self.example.maps(
+            seed, Rectangle(x, y, width, height), (finer[0], finer[1]) if period else None
+        )
+        coarse = self._coarser(torch.from_numpy(maps))
+        return coarse.rot90(1, (1, 2)).contiguous() if self.turned else coarse
+
+    def _coarser(self, maps: Tensor) -> Tensor:
+        return F.avg_pool2d(maps, self.finer) if self.finer > 1 else maps
 
     def levels_of(self, maps: Tensor) -> tuple[Tensor, ...]:
         """The drawing of stacked maps (6 or 8, H + 2 AROUND, W + 2 AROUND); see levels()."""
@@ -82,7 +110,7 @@ class Drawing:
     @cached_property
     def _moments(self) -> tuple[Tensor, Tensor]:
         """(DRAWING_CHANNELS, 1, 1) mean and deviation over the exemplar."""
-        maps = torch.from_numpy(self.example.exemplar.stacked())[None]
+        maps = self._coarser(torch.from_numpy(self.example.exemplar.stacked()))[None]
         planes = self._planes(F.pad(maps, (AROUND,) * 4, mode="replicate")[0])
         mean, deviation = planes.mean((1, 2), keepdim=True), planes.std((1, 2), keepdim=True)
         return mean, deviation.clamp_min(_FLAT)
@@ -93,7 +121,7 @@ class Drawing:
         if len(maps[SPECULAR]) == COLOURED:
             colour = colour + maps[SPECULAR]
         luminance = torch.tensordot(colour.new_tensor(LUMINANCE), colour, 1)
-        height, side = maps[HEIGHT] / self.example.exemplar.texel_size, 2 * AROUND + 1
+        height, side = maps[HEIGHT] / self.texel_size, 2 * AROUND + 1
         mean = F.avg_pool2d(F.avg_pool2d(height, (side, 1), 1), (1, side), 1)
         within = (..., slice(AROUND, -AROUND), slice(AROUND, -AROUND))
         drawn = luminance.clamp_min(_DARKEST).log()[None]

@@ -290,8 +290,8 @@ class RandomField:
     @property
     def read_up(self) -> tuple[Tensor, ...]:
         """What each level of the way up reads besides features: the drawing, then the lattice."""
-        if not self.drawing:
-            return self.waves
+        if not self.drawing or not self.waves:
+            return self.drawing or self.waves
         return tuple(torch.cat(each, 1) for each in zip(self.drawing, self.waves, strict=True))
 
 

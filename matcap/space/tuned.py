@@ -17,13 +17,13 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
-from matcap.example.example import example_of
+from matcap.example.example import Example, example_of
 from matcap.field.field import repeatable
 from matcap.field.header import REMEDY
 from matcap.field.material import Material
 from matcap.field.plane import RING, Grid, Period, Rectangle, Span, check_period, check_seed
-from matcap.field.source import planes_of
-from matcap.files.settings import bounded
+from matcap.field.source import FieldGenerator, planes_of
+from matcap.files.settings import bounded, whole
 from matcap.files.tensors import StoredTensors
 from matcap.flash.geometry import FlashSetup
 from matcap.space.decoder import (
@@ -46,6 +46,7 @@ from matcap.statistics.lattice import Wave
 # Limits of the memory that a hostile file can claim.
 _LARGEST_WIDTH = 1024  # channels
 _MOST_CELLS = 64  # channels at full resolution
+_FINEST = 64  # texels of an exemplar along one of its drawing
 _MOST_NUMBERS = 64_000_000  # weights, a quarter of a gigabyte
 
 
@@ -302,7 +303,7 @@ class TunedDecoder:
         raise UsageError.at(
             "--variety",
             f"a decoder rearranges no patches, so it has no variety of {variety:g}",
-            "leave it out",
+            "leave it out, or give --generator example",
         )
 
     def repeating(self) -> MapSet:
@@ -317,7 +318,9 @@ class TunedDecoder:
             "give --tile alone for a periodic texture, or capture with --generator example",
         )
 
-    def in_file(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    def in_file(
+        self, beside: FieldGenerator | None = None
+    ) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors by name, and entries of the JSON description; the inverse of read()."""
         tensors = {f"decoder.{k}": v for k, v in self.decoder.state_dict().items()}
         tensors["code"] = self.code
@@ -328,19 +331,29 @@ class TunedDecoder:
             "decoder": config_document(self.decoder.config),
             "waves": [wave._asdict() for wave in self.waves],
         }
-        if self.drawing is not None:
-            read, described = self.drawing.example.in_file("drawing")
-            tensors |= read
-            about |= described
+        drawing = self.drawing
+        if drawing is not None:
+            about["drawing"] = {}
+            if drawing.example is not beside:
+                read, described = drawing.example.in_file(entry="drawing")
+                tensors |= read
+                about |= described
+            if drawing.finer > 1:
+                about["drawing"] |= {"finer": drawing.finer}
+            if drawing.turned:
+                about["drawing"] |= {"turned": True}
         return tensors, about
 
 
-def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder | None:
+def read(
+    about: Mapping[str, Any], file: safe_open, path: Path, beside: FieldGenerator | None
+) -> TunedDecoder | None:
     """Read the decoder of a material's file, or None if it has none.
 
     Args:
         about: the file's JSON description.
         file: opened for PyTorch.
+        beside: the file's generator by example, which the decoder may draw from.
 
     Raises:
         MatcapError: a tensor is missing or of a wrong shape.
@@ -358,6 +371,8 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
         mean = stored.tensor(f"moments.{index}.mean", shape)
         deviation = stored.tensor(f"moments.{index}.deviation", shape)
         moments.append((mean, deviation))
+    drawing = _drawing(about, file, beside) if config.drawing else None
+    texel_size = about["texel_size"] if drawing is None else drawing.texel_size
     return TunedDecoder(
         decoder=decoder,
         code=code,
@@ -366,7 +381,21 @@ def read(about: Mapping[str, Any], file: safe_open, path: Path) -> TunedDecoder 
             Wave(bounded(w["fx"], "fx", -1.0, 1.0), bounded(w["fy"], "fy", -1.0, 1.0))
             for w in about["waves"][:2]
         ),
-        texel_size=bounded(about["texel_size"], "texel_size", 1e-9, 1e3),
-        drawing=Drawing(example_of(about, file, "drawing")) if config.drawing else None,
+        texel_size=bounded(texel_size, "texel_size", 1e-9, 1e3),
+        drawing=drawing,
         turned=about["setup"]["turned"],
     )
+
+
+def _drawing(about: Mapping[str, Any], file: safe_open, beside: FieldGenerator | None) -> Drawing:
+    """The drawing of an exemplar of its own, or of the material's."""
+    entry = about["drawing"]
+    finer = whole(entry.get("finer", 1), "finer", 1, _FINEST)
+    if finer & (finer - 1):
+        raise ValueError(f"finer is {finer}, no power of two")
+    turned = entry.get("turned", False) is True
+    if "exemplar" in entry:
+        return Drawing(example_of(about, file, "drawing"), finer, turned)
+    if not isinstance(beside, Example):
+        raise ValueError("the exemplar that the decoder draws from is missing")
+    return Drawing(beside, finer, turned)

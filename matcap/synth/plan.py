@@ -73,7 +73,8 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     exemplified = None
     if isinstance(request.material, Path) and request.read.generator != "decoder":
         exemplified = read_exemplified(request.material)
-    if exemplified is not None:
+    wanted = "example" if request.tile == "piece" else request.read.generator
+    if exemplified is not None and (wanted or exemplified.default) == "example":
         source, name, provenance = _of_exemplar(request, exemplified)
     else:
         source, name, provenance = _of_material(request)

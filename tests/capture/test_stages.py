@@ -12,6 +12,7 @@ from report_schema import check_report
 
 from matcap.capture.pipeline import capture_into
 from matcap.capture.settings import (
+    BOTH_STAGES,
     DRAWING_STAGES,
     EXEMPLAR_STAGES,
     PRESETS,
@@ -35,6 +36,7 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
     ("generator", "stages", "longest"),
     [
         ("example", EXEMPLAR_STAGES, None),
+        (None, BOTH_STAGES, None),
         ("decoder", DRAWING_STAGES, "fine-tuning"),
     ],
 )
@@ -42,9 +44,9 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
 def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator, stages, longest):
     assert sum(stages.values()) == pytest.approx(1.0)
     lines = []
-    settings = CaptureSettings(detail=160)
+    settings = CaptureSettings(detail=160, generator=generator)
     if generator == "decoder":
-        settings = replace(settings, steps=2, generator=generator)
+        settings = replace(settings, steps=2)
     result = capture_into(
         tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), lines.append
     )
@@ -119,7 +121,13 @@ print(sorted(name for name in sys.modules if name.startswith("matcap.space")))
 def test_a_preset_is_its_effort_unless_steps_are_given(preset):
     effort = resolve(CaptureSettings(preset=preset, generator="decoder"))
     assert effort is PRESETS[preset] and effort.preset == preset
-    assert resolve(CaptureSettings(preset=preset)) == replace(effort, steps=0)
+    alone = CaptureSettings(preset=preset, generator="example")
+    assert resolve(alone) == replace(effort, steps=0)
+    # Beside the exemplar, standard alone fine-tunes a decoder, unless time is limited.
+    both = resolve(CaptureSettings(preset=preset))
+    assert both == replace(effort, steps=effort.beside)
+    assert (both.steps > 0) == (preset == "standard")
+    assert resolve(CaptureSettings(preset=preset, time_limit=90.0)).steps == 0
     fewer = resolve(CaptureSettings(preset=preset, steps=7, generator="decoder"))
     assert fewer == replace(effort, steps=7)
 

@@ -364,7 +364,7 @@ STAGES = {**EXEMPLAR_STAGES, **DECODER_STAGES}
 @pytest.fixture
 def captured(pipeline, photo):
     """A result without anything to warn of."""
-    return _captured(pipeline, photo, CaptureSettings(detail=96))
+    return _captured(pipeline, photo, CaptureSettings(detail=96, generator="example"))
 
 
 def _captured(pipeline, photo, settings):

@@ -85,7 +85,9 @@ def _ways() -> dict[str, Way]:
     ways: dict[str, Way] = {}
     options: tuple[str, ...]
     for detail in (256, 512, 1024):
-        ways[f"{detail} texels"] = Way("one photograph", ("--detail", f"{detail}"))
+        ways[f"{detail} texels"] = Way(
+            "one photograph", ("--generator", "example", "--detail", f"{detail}")
+        )
     for detail in (512, 1024):
         for count in (2, 3, 5, 9):
             options = ("--detail", f"{detail}", "--together")
@@ -96,7 +98,7 @@ def _ways() -> dict[str, Way]:
         options = ("--generator", "decoder", "--steps", f"{steps}")
         ways[f"decoder, {steps} steps"] = Way("decoder", options)
     for detail in (512, 1024, 2048, 4096):
-        options = ("--detail", f"{detail}")
+        options = ("--generator", "example", "--detail", f"{detail}")
         ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
     return ways
 

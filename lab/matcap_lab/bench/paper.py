@@ -64,8 +64,9 @@ from matcap_lab.simulate.specimen import Specimen, photograph
 from matcap_lab.train.corpus import SIZE, lit, lit_maps
 
 DEFAULT, DECODER, FULL, SINGLE = "default", "decoder", "FULL", "SINGLE"
+BOTH = "both"
 PAPER_FILTERS, PAPER_VGG = "PAPER by filters", "PAPER by VGG-16"
-_WHOLE = (DEFAULT, DECODER, FULL)
+_WHOLE = (DEFAULT, BOTH, DECODER, FULL)
 _PAPERS = (PAPER_FILTERS, PAPER_VGG)  # of few materials, as one takes twenty minutes
 _ABOUT = """\
 *style*: relative L1 difference of statistics of random filters that no capture optimises; *VGG-16*:
@@ -124,7 +125,8 @@ def paper_experiments(
     full = replace(decoder, drawing=False)
     untuned = replace(full, steps=0)
     variants: dict[str, tuple[CaptureSettings, Method]] = {
-        DEFAULT: (CaptureSettings("standard"), Method()),
+        DEFAULT: (CaptureSettings("standard", generator="example"), Method()),
+        BOTH: (CaptureSettings("standard"), Method()),
         DECODER: (decoder, Method()),
         FULL: (full, Method()),
         SINGLE: (replace(full, prior="none"), Method()),

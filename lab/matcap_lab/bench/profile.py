@@ -142,7 +142,7 @@ def main(arguments: Sequence[str]) -> None:
         result = capture_into(
             Path(folder) / "out",
             [photograph],
-            CaptureSettings(preset=preset),
+            CaptureSettings(preset=preset, generator="example"),
             OutputSettings(),
             costs.progress,
         )

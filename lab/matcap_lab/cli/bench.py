@@ -118,7 +118,9 @@ def floors(
 
     camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
     evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
-    settings = of.PhotographSettings(CaptureSettings(**given), stops, jpeg)
+    settings = of.PhotographSettings(
+        CaptureSettings(**{"generator": "example"} | given), stops, jpeg
+    )
     chosen = subjects(material or (), sets)
     if not photographs:
         _print(of.nsd_experiment(chosen, out, settings, evaluation), out, of.FLOORS)
@@ -156,7 +158,7 @@ def metals(
 
     chosen = subjects(material or tuple(SHEETS), sets)
     camera = PhoneCamera(width=pixels, height=pixels // 8 * 6)
-    settings = CaptureSettings(preset, detail=detail)
+    settings = CaptureSettings(preset, detail=detail, generator="example")
     _print(metals_experiment(chosen, out, settings, camera, known=known), out, METALS)
 
 

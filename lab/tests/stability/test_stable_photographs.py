@@ -39,7 +39,7 @@ def made(name, seed=1):
 
 
 def settings(**changed):
-    return CaptureSettings(**{"detail": WIDTH, **changed})
+    return CaptureSettings(**{"detail": WIDTH, "generator": "example", **changed})
 
 
 @pytest.mark.parametrize("name", REFUSED)

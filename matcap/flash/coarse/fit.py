@@ -102,6 +102,12 @@ class CoarseFit(Uniform):
     """Standard deviation of log albedo over F0, the level of a dielectric's albedo; None of a
     conductor, and of fits not made from a photograph."""
 
+    def scaled(self, factor: float) -> CoarseFit:
+        """The same picture with albedo and F0 times a factor, and the flash divided by it."""
+        red, green, blue = (min(factor * channel, 1.0) for channel in self.diffuse)
+        specular, setup = min(factor * self.specular, 1.0), self.setup.dimmed(factor)
+        return replace(self, diffuse=(red, green, blue), specular=specular, setup=setup)
+
 
 def fit_coarse(
     photo: Photo,

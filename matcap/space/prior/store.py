@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from torch import Tensor
 
 from matcap.errors import MatcapError, UsageError
 from matcap.field.header import DAMAGED
-from matcap.field.material import Material
+from matcap.field.material import Latent, Material
 from matcap.field.options import SPREAD
 from matcap.files.tensors import StoredTensors, write_tensors
 from matcap.flash.alignment import picture
@@ -27,7 +28,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
-from matcap.space.decoder import CODE_SIZE, Decoder
+from matcap.space.decoder import CODE_SIZE, DRAWING_CHANNELS, Decoder, DecoderConfig
 from matcap.space.encoder import (
     BACKBONES,
     Encoder,
@@ -243,6 +244,8 @@ FORMAT = "matcap-prior"
 # Version 2 added structured noise; version 3 moved the alignment branch to its own file.
 VERSIONS = (1, 2, 3)
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
+# The prior's decoder, trained on to read drawings.
+DRAWING_START = SHIPPED.with_name("drawing.safetensors")
 
 _MOST_ANCHORS = 1_000_000  # limits the memory that a hostile file can claim
 DETAIL = 1024  # texels across two plane units of a drawn material
@@ -266,6 +269,8 @@ class Prior:
     """How it was trained; JSON."""
     anchors: Anchors | None = None
     """Anchors of the training photographs; None draws from the standard normal."""
+    digest: str = ""
+    """SHA-256 of its file."""
 
     def code(self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane) -> Tensor:
         """(CODE_SIZE,) latent vector of a photograph, the encoder's mean.
@@ -294,10 +299,43 @@ class Prior:
         """Position of a photograph in the space, rectified at DETAIL texels."""
         coarse = fit_coarse(photo)
         plane = read_plane(photo.linearised(coarse.tone), coarse.setup, DETAIL)
-        code = self.code(photo.pixels, coarse, plane)
-        base = base_of(coarse, log_contrast(plane.linear, plane.valid))
         waves = find_lattice(plane.encoded(), plane.valid).waves
+        return self.anchor(photo.pixels, coarse, plane, waves)
+
+    def anchor(
+        self,
+        pixels: NDArray[np.float32],
+        coarse: CoarseFit,
+        plane: Plane,
+        waves: tuple[Wave, ...],
+    ) -> Anchor:
+        """Position of a photograph, of waves in cycles per texel of `plane`; see code()."""
+        code, times = self.code(pixels, coarse, plane), plane.size[0] / DETAIL
+        base = base_of(coarse, log_contrast(plane.linear, plane.valid))
+        waves = tuple(Wave(times * wave.fx, times * wave.fy) for wave in waves)
         return Anchor(code, self.conditional_mean.rest(code, base), waves)
+
+    def kept(self, anchor: Anchor) -> Latent:
+        """A position as a material's file has it."""
+        return Latent(
+            torch.cat([anchor.code, anchor.rest]),
+            tuple((wave.fx, wave.fy) for wave in anchor.waves),
+            self.digest,
+        )
+
+    def near(self, latent: Latent) -> Anchor:
+        """The inverse of kept().
+
+        Raises:
+            MatcapError: it is of another prior.
+        """
+        if latent.prior != self.digest:
+            raise MatcapError(
+                "this material was encoded by another prior",
+                remedy="give its photograph, or capture that again",
+            )
+        waves = tuple(Wave(*wave) for wave in latent.waves)
+        return Anchor(latent.code, latent.numbers[CODE_SIZE:], waves)
 
     def draw(
         self,
@@ -385,6 +423,7 @@ def load_prior(path: Path | None = None) -> Prior:
                 conditional_mean=ConditionalMean(**_tensors(stored, "habits", _MEAN_SHAPES)),
                 about=about["about"],
                 anchors=_anchors(stored, int(about.get("anchors", 0))),
+                digest=hashlib.sha256(path.read_bytes()).hexdigest(),
             )
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(path, "this is not a prior, or it is damaged", _REMEDY) from error
@@ -392,6 +431,20 @@ def load_prior(path: Path | None = None) -> Prior:
         raise MatcapError.at(
             path, f"the prior's description is damaged ({error})", _REMEDY
         ) from error
+
+
+def load_drawing_start() -> Decoder:
+    """The prior's decoder, trained on to read drawings, relative to the base.
+
+    Raises:
+        MatcapError: missing or damaged.
+    """
+    try:
+        with safe_open(DRAWING_START, framework="pt") as file:
+            stored = StoredTensors(file, DRAWING_START, _REMEDY)
+            return stored.load(empty_decoder(DecoderConfig(drawing=DRAWING_CHANNELS)), "")
+    except (SafetensorError, OSError) as error:
+        raise MatcapError.at(DRAWING_START, "missing, or damaged", _REMEDY) from error
 
 
 def _anchors(stored: StoredTensors, count: int) -> Anchors | None:

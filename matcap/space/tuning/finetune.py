@@ -54,7 +54,7 @@ from matcap.space.tuning.windows import PhotographTarget, compare_windows, rende
 
 
 # Settings of every optimisation run; docs/notes/prior.md.
-_WARM_UP = 10  # steps of linear warm-up of the learning rate
+WARM_UP = 10  # steps of linear warm-up of the learning rate
 _FLOOR = 0.05  # final share of the learning rate
 _FROZEN_SHARE = 0.15  # last share of the run, with frozen statistics
 
@@ -67,15 +67,16 @@ class Schedule:
         share: completed share of the run, in [0, 1], updated by `over`.
     """
 
-    def __init__(self, steps: int, seconds: float | None) -> None:
+    def __init__(self, steps: int, seconds: float | None, warm_up: int = WARM_UP) -> None:
         """Start the clock.
 
         Args:
             steps: largest number of steps.
             seconds: time limit, or None.
+            warm_up: steps of linear warm-up of the learning rate.
         """
         self.step, self.share = 0, 0.0
-        self._steps, self._limit = steps, seconds
+        self._steps, self._limit, self._warm_up = steps, seconds, warm_up
         self._started = time.monotonic()
 
     def over(self) -> bool:
@@ -98,7 +99,7 @@ class Schedule:
     @property
     def pace(self) -> float:
         """Share of the learning rate: a warm-up, then a cosine down to _FLOOR."""
-        warm = min(1.0, (self.step + 1) / _WARM_UP)
+        warm = min(1.0, (self.step + 1) / self._warm_up)
         return warm * (_FLOOR + (1.0 - _FLOOR) * (0.5 + 0.5 * math.cos(math.pi * self.share)))
 
 
@@ -237,7 +238,7 @@ def _departure(maps: MapSet, expected: Tensor, weights: Penalties) -> Tensor:
 
 _SMOOTHING = 0.05  # weight of the newest step in the running error
 # Factor on the rate of the weights that read a drawing, which start at zero.
-_DRAWING_RATE = 9.0
+DRAWING_RATE = 9.0
 _LONGEST_GRADIENT = 1.0  # norm over all weights to which gradients are clipped
 
 
@@ -248,9 +249,9 @@ class Optimiser:
         error: running mean of the loss; NaN before the first step.
     """
 
-    def __init__(self, decoder: Decoder, rate: float) -> None:
+    def __init__(self, decoder: Decoder, rate: float, drawing_rate: float = DRAWING_RATE) -> None:
         self._decoder, self.error = decoder, math.nan
-        self._rate, self._taken, self._adam = rate, 0, Adam(decoder)
+        self._rate, self._taken, self._adam = rate, 0, Adam(decoder, drawing_rate)
 
     def take(self, loss: Tensor, penalty: Tensor, pace: float) -> bool:
         """Take a step; return whether it was taken.
@@ -277,8 +278,12 @@ class Optimiser:
 class Adam:
     """Adam [kingma2015] by torch.optim's function; its class imports PyTorch's compiler (1 s)."""
 
-    def __init__(self, decoder: Decoder) -> None:
-        """Start with zero moments; steps change the decoder's weights in place."""
+    def __init__(self, decoder: Decoder, drawing_rate: float = DRAWING_RATE) -> None:
+        """Start with zero moments; steps change the decoder's weights in place.
+
+        Those that read the drawing have the rate times `drawing_rate`.
+        """
+        self._drawing_rate = drawing_rate
         self._parameters = [p for p in decoder.parameters() if p.requires_grad]
         self._drawing = decoder.drawing_weights()
         self._means = [torch.zeros_like(p) for p in self._parameters]
@@ -307,7 +312,7 @@ class Adam:
             maximize=False,
         )
         for weights, old in zip(self._drawing, before, strict=True):
-            weights.copy_(old.lerp(weights, _DRAWING_RATE))
+            weights.copy_(old.lerp(weights, self._drawing_rate))
 
 
 # Fine-tuning of a decoder to a photograph [henzler2021, sec. 4.6].
@@ -340,6 +345,10 @@ class TuneSettings:
     """Windows rendered per step."""
     learning_rate: float = RATE_FROM_NOTHING
     """Highest learning rate of Adam."""
+    drawing_rate: float = DRAWING_RATE
+    """Factor on it of the weights that read a drawing."""
+    warm_up: int = WARM_UP
+    """Steps of linear warm-up of the learning rate."""
     penalties: Penalties = Penalties()
     """Weights of the penalties on maps."""
     half_precision: bool = True
@@ -380,8 +389,8 @@ def finetune(
     """
     if not settings.steps:
         return Tuned(decoder, tuple(freeze(decoder, code, scene.waves, scene.drawing)), (), False)
-    schedule = Schedule(settings.steps, settings.seconds)
-    optimiser = Optimiser(decoder, settings.learning_rate)
+    schedule = Schedule(settings.steps, settings.seconds, settings.warm_up)
+    optimiser = Optimiser(decoder, settings.learning_rate, settings.drawing_rate)
     order = shuffled(scene.windows.count, settings.seed)
     half, drawing = settings.half_precision, scene.drawing
     teacher = None if drawing is None else Teacher.of(drawing, scene.windows.size, settings.seed)
@@ -439,7 +448,7 @@ def decode_window(
     full = size + 2 * margin
     patch = Patch(seed, Rectangle(0, 0, full, full))
     noise = noise_field(replace(patch, period=(full, full)), config.noise_channels)[None]
-    waves = lattice_levels(patch, scene.waves, config.cells, DEPTH)
+    waves = lattice_levels(patch, scene.waves, config.cells, DEPTH) if scene.waves else ()
     with torch.autocast("cpu", torch.bfloat16, enabled=half_precision and computes_bfloat16()):
         drawing = () if lesson is None else lesson.drawing
         raw = decode(RandomField(noise, waves, drawing))

@@ -164,7 +164,7 @@ class Teacher:
     @staticmethod
     def of(drawing: Drawing, size: int, seed: int) -> Teacher:
         """A field of a seed."""
-        width, height = (max(side, size + 2 * MARGIN) for side in drawing.example.exemplar.size)
+        width, height = (max(side, size + 2 * MARGIN) for side in drawing.size)
         return Teacher(drawing, drawing.around(seed, Rectangle(0, 0, width, height)), size)
 
     def lesson(self, seed: int) -> Lesson:
@@ -177,7 +177,7 @@ class Teacher:
         )
         read = self.field[:, y : y + whole, x : x + whole]
         maps = read[None, :, beyond:-beyond, beyond:-beyond]
-        texel_size = self.drawing.example.exemplar.texel_size
+        texel_size = self.drawing.texel_size
         return Lesson(self.drawing.levels_of(read), MapSet.from_stacked(maps, texel_size), seed)
 
 

@@ -67,7 +67,7 @@ def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = N
         plane: the picture; windows with too few valid texels are omitted, unless all are.
         bank: features of the descriptors.
         size: side of the windows, texels, at most the picture's.
-        most: largest number of windows; None for all.
+        most: largest number of windows, spread over the picture; None for all.
     """
     width, height = plane.size
     places = [(x, y) for y in _steps(height, size) for x in _steps(width, size)]
@@ -76,7 +76,8 @@ def cut_windows(plane: Plane, bank: Features, size: int, *, most: int | None = N
         for x, y in places
         if float(plane.valid[y : y + size, x : x + size].float().mean()) >= _LEAST_SEEN
     ]
-    places = (seen or places)[:most]
+    places = seen or places
+    places = places[:: -(-len(places) // most)] if most else places
     cut = torch.stack([plane.linear[:, y : y + size, x : x + size] for x, y in places])
     with torch.no_grad():
         described = [describe(some, plane.encoding, bank) for some in cut.split(_TOGETHER)]

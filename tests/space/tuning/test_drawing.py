@@ -18,7 +18,7 @@ from matcap.field.plane import Rectangle
 from matcap.files.color import LUMINANCE
 from matcap.space.between import blend
 from matcap.space.decoder import ALIGNMENT, DEPTH, DRAWING_CHANNELS, Decoder, with_drawing
-from matcap.space.freeze import Drawing, reference_field
+from matcap.space.freeze import AROUND, Drawing, reference_field
 from matcap.space.random_field import Patch, random_field
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import Adam, Renormalisation, decode_window
@@ -202,7 +202,7 @@ def test_a_file_with_another_drawing_is_refused(tmp_path, monkeypatch, drawn, ch
     monkeypatch.setattr(
         TunedDecoder,
         "in_file",
-        lambda self: (
+        lambda self, beside: (
             about()[0],
             about()[1] | {"decoder": about()[1]["decoder"] | {"drawing": channels}},
         ),
@@ -234,3 +234,50 @@ def test_one_that_draws_blends_with_one_that_does_not(drawn, drawing):
         assert middle.part(TunedDecoder).drawing is drawing
         change = (middle.maps(64, 64).stacked() - drawn.maps(64, 64).stacked())[:5].abs().mean()
         assert float(change) < 0.02
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_beside_an_exemplar_it_draws_from_that(tmp_path, turned):
+    """One file, one exemplar: the decoder's texels are means of its texels, of the same field."""
+    example = Example.of(blobs(352, 288))
+    drawing = Drawing(example, finer=2, turned=turned)
+    alone = a_material("both", config=SMALL, drawing=drawing)
+    setup = replace(alone.setup, turned=turned)
+    tuned = replace(alone.part(TunedDecoder), texel_size=drawing.texel_size, turned=turned)
+    both = Material(
+        "both", {"example": example, "decoder": tuned}, example.texel_size, setup
+    ).preferring("decoder")
+    both.save(tmp_path / "both.matcap")
+    loaded = Material.load(tmp_path / "both.matcap")
+    assert loaded.made_by == "decoder" and loaded.texel_size == 2 * example.texel_size
+    read = loaded.part(TunedDecoder).drawing
+    assert read.example is loaded.part(Example) and (read.finer, read.turned) == (2, turned)
+    one, other = both.maps(64, 48, seed=3, x=16, y=-32), loaded.maps(64, 48, seed=3, x=16, y=-32)
+    assert torch.equal(one.stacked(), other.stacked())
+    fine = loaded.by("example")
+    assert fine.texel_size == example.texel_size and fine.made_by == "example"
+    # The drawing is that of the field by example, wherever it is read.
+    seen = torch.from_numpy(example.maps(3, Rectangle(-64, 96, 192, 128), None))
+    halved = torch.nn.functional.avg_pool2d(seen, 2)
+    area = Rectangle(-32, 48, 96, 64).grown(-AROUND)
+    lying = Rectangle(area.y, -area.x - area.width, area.height, area.width) if turned else area
+    drawn = drawing.around(3, lying)
+    assert torch.equal(drawn.rot90(-1, (1, 2)) if turned else drawn, halved)
+    sizes = [
+        (tmp_path / name).stat().st_size
+        for name, material in (("a", fine), ("b", both.by("decoder")))
+        for _ in [material.save(tmp_path / name)]
+    ]
+    assert (tmp_path / "both.matcap").stat().st_size < sum(sizes)
+    alone = Material.load(tmp_path / "b")
+    assert torch.equal(alone.maps(64, 48, seed=3, x=16, y=-32).stacked(), one.stacked())
+
+
+def test_a_decoder_is_not_read_without_the_exemplar_that_it_draws_from(tmp_path, monkeypatch):
+    example = Example.of(blobs(352, 288))
+    alone = a_material("both", config=SMALL, drawing=Drawing(example, finer=2))
+    both = replace(alone, generators={"example": example, **alone.generators})
+    monkeypatch.setattr(Example, "in_file", lambda self, beside=None, entry="example": ({}, {}))
+    both.save(tmp_path / "m.matcap")
+    with pytest.raises(MatcapError, match="draws from is missing"):
+        Material.load(tmp_path / "m.matcap")

@@ -102,7 +102,7 @@ def photographs(name: str) -> Domain:
     def captured(g: np.random.Generator) -> Swept:
         width, height = (_SMALL, _LARGE, _FINE)[int(g.choice(3, p=_SHARES))]
         seed, developed, turned = int(g.integers(1000)), g.random() < 0.4, g.random() < 0.25
-        by, asked = "example", CaptureSettings(detail=width, seed=seed)
+        by, asked = "example", CaptureSettings(detail=width, seed=seed, generator="example")
         if width <= _LARGE[0] and g.random() < 0.3:
             prior = ("auto", "none")[int(g.integers(2))]
             by = f"decoder, prior {prior}"
@@ -137,7 +137,7 @@ def _whole(capture: Callable[[int, int, CaptureSettings], CaptureResult]) -> Dom
     def captured(g: np.random.Generator) -> Swept:
         width, height = _LARGE
         seed = int(g.integers(1000))
-        asked = CaptureSettings(detail=width, seed=seed)
+        asked = CaptureSettings(detail=width, seed=seed, generator="example")
         return _swept(capture(width, height, asked), f"seed {seed}")
 
     return captured
