@@ -30,6 +30,7 @@ class FakeMaterial:
 
     alignment: int = 16
     generators: tuple = ("example",)
+    latent: None = None
 
     def maps(self, width, height, *, seed=0, x=0, y=0, period=None):
         made = random_maps(width, height, seed, texel_size=self.texel_size)
