@@ -341,7 +341,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
 def _effort(result: CaptureResult) -> dict[str, Any]:
     effort = asdict(result.effort)
     del effort["beside"]
-    if result.tuning is None:
+    if result.tuning is None and result.settings.generator != "decoder":
         del effort["places"], effort["matched"]
     else:
         effort["windows_per_step"] = effort.pop("places")

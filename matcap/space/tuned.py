@@ -327,7 +327,7 @@ class TunedDecoder:
         for index, (mean, deviation) in enumerate(self.moments):
             tensors[f"moments.{index}.mean"] = mean
             tensors[f"moments.{index}.deviation"] = deviation
-        about = {
+        about: dict[str, Any] = {
             "decoder": config_document(self.decoder.config),
             "waves": [wave._asdict() for wave in self.waves],
         }

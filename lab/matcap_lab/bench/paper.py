@@ -146,7 +146,7 @@ def paper_experiments(
         "paper",
         prepared,
         {
-            name: Configuration(partial(_compared, captures[name]), asked.generator)
+            name: Configuration(partial(_compared, captures[name]), asked.generator or BOTH)
             for name, (asked, _) in variants.items()
         },
         settings=settings,

@@ -119,7 +119,7 @@ def floors(
     camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
     evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
     settings = of.PhotographSettings(
-        CaptureSettings(**{"generator": "example"} | given), stops, jpeg
+        CaptureSettings(**{"generator": "example", **given}), stops, jpeg
     )
     chosen = subjects(material or (), sets)
     if not photographs:
