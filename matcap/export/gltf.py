@@ -5,8 +5,8 @@
 - Metallic workflow: core glTF with one index of refraction.
 
 The base colour compensates for the layer's darkening, F0 for the multiple scattering that viewers
-add (workflows.py). Ambient occlusion is in red of the roughness and metallic texture. glTF has no height
-map. Lengths are metres; a plane unit of unknown size is 1 m.
+add (workflows.py). Ambient occlusion is in red of the roughness and metallic texture. glTF has no
+height map. Lengths are metres; a plane unit of unknown size is 1 m.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 - Metallic workflow: one index of refraction for all dielectrics.
 
 UsdPreviewSurface darkens the diffuse part under the specular layer; the base colour compensates
-(workflows.py). Renderers with MaterialX use the output `mtlx:surface`, which has a smaller residual.
+(workflows.py). Renderers with MaterialX use `mtlx:surface`, which has a smaller residual.
 
 Displacement is a variant, off by default: programs that cannot displace use the height as a bump
 map on top of the normal map (Blender: 5 to 8 % off at grazing light).

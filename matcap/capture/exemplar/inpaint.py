@@ -94,7 +94,8 @@ class Copies:
             moved = np.rint(longer * cv2.resize(steps, size, interpolation=cv2.INTER_NEAREST)[at])
             source.append((line + moved.astype(np.int64)).clip(0, planes.shape[1 + axis] - 1))
         copied = planes.copy()
-        copied[:, *at] = planes[:, *source]
+        rows, columns = source
+        copied[:, at[0], at[1]] = planes[:, rows, columns]
         return copied
 
 
