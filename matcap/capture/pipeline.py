@@ -175,9 +175,7 @@ def capture_photo(
     """
     method, clock = method or Method(), clock or clock_of(settings, progress, 1 + len(others))
     check_photographs(settings, 1 + len(others))
-    effort = resolve(settings)
-    if others:
-        effort = replace(effort, steps=0)
+    effort = replace(resolve(settings), steps=0) if others else resolve(settings)
     if settings.generator == "decoder":
         from matcap.capture.by_decoder import capture_by_decoder
 
