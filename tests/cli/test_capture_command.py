@@ -419,7 +419,8 @@ def test_nan_and_infinity_become_null(captured, tmp_path):
 def test_the_effort_is_that_of_the_settings(captured):
     effort = {"preset": "standard", "steps": 0, "detail": 96}
     assert report_report(captured)["effort"] == effort
-    decoder = replace(captured, settings=replace(captured.settings, generator="decoder", steps=5))
+    asked = replace(captured.settings, generator="decoder", steps=5)
+    decoder = replace(captured, settings=asked, tuning=Tuning(((1.0, 5, 0.5),)))
     assert report_report(decoder)["effort"] == effort | {
         "steps": 5,
         "windows_per_step": 3,

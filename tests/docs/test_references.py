@@ -16,6 +16,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+import torch
 import typer.main
 from guide import anchors
 from make_reference import BY_HAND, FOLDER, written
@@ -29,6 +30,7 @@ from matcap.cli.main import app, main
 from matcap.errors import ExitCode
 from matcap.example.example import Example
 from matcap.example.exemplar import CHANNELS, Exemplar
+from matcap.field.material import LATENT, Latent
 from matcap.files.settings import field_docs
 from matcap.relight.foreign import names
 from matcap.relight.scene import Camera, Film, Light, Surface
@@ -113,9 +115,10 @@ def test_a_material_holds_what_the_reference_states(small, tmp_path):
         texel_size=maps.texel_size,
     )
     example = Example.of(piece)
-    drawn = replace(small.part(TunedDecoder), drawing=Drawing(example))
+    drawn = replace(small.part(TunedDecoder), drawing=Drawing(Example.of(piece)))
     both = {"example": example, "decoder": drawn}
-    replace(small, generators=both).save(tmp_path / "leather.matcap")
+    latent = Latent(torch.zeros(LATENT), (), "0")
+    replace(small, generators=both, latent=latent).save(tmp_path / "leather.matcap")
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
     assert set(about) == formats.keys("matcap.field.material", "Metadata")
