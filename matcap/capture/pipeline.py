@@ -208,7 +208,7 @@ def capture_photo(
     result = judge_material(rectified, material, settings, clock, estimate)
     if not effort.steps or result.interrupted:
         return result
-    from matcap.capture.beside import with_decoder
+    from matcap.capture.both_generators import with_decoder
 
     return with_decoder(result, rectified, effort, clock)
 

@@ -44,7 +44,7 @@ Keys:
         between neighbouring windows of the photograph), `relative_error` (their ratio) and
         `error_over_time` (seconds, step and error).
     generators: of two, or null: `generator`, which makes the maps by default, and `distances`, of
-        the texture of each one's field to the photograph's (capture/beside.py).
+        the texture of each one's field to the photograph's (capture/both_generators.py).
     latent: `code` of the photograph by the prior's encoder, and `prior`, the SHA-256 of its file.
     exemplar: or null: `error` (median difference of log radiance between photograph and
         re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
@@ -340,7 +340,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
 
 def _effort(result: CaptureResult) -> dict[str, Any]:
     effort = asdict(result.effort)
-    del effort["beside"]
+    del effort["decoder_steps"]
     if result.tuning is None and result.settings.generator != "decoder":
         del effort["places"], effort["matched"]
     else:

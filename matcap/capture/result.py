@@ -50,7 +50,7 @@ class Tuning:
 
 @dataclass(frozen=True)
 class GeneratorChoice:
-    """The generator that makes a material's maps, of two, by measures (beside.py)."""
+    """The generator that makes a material's maps, of two, by measures (both_generators.py)."""
 
     generator: Generator
     """The nearer one."""

@@ -63,7 +63,7 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 # Settings that take the place of what the photograph says, of one photograph by example.
 _BY_HAND = ("metal", "albedo", "roughness")
 _STEP = 16  # texels: smallest alignment of a material
-_BESIDES = 50_000_000  # bytes: upper bound of material, preview and report
+_DECODER_TIMESS = 50_000_000  # bytes: upper bound of material, preview and report
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Effort:
     """Match a decoder's mean and contrast after fine-tuning (space/tuning/match.py)."""
     detail: int = FINE_DETAIL
     """Texels along the exemplar's long side, at most the photograph's pixels."""
-    beside: int = 0
+    decoder_steps: int = 0
     """Steps of fine-tuning a decoder beside the exemplar of one photograph; 0 without one."""
 
 
@@ -92,7 +92,7 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
         for effort in (
             Effort("instant", 0, detail=QUICK_DETAIL),
             Effort("draft", 32, matched=False, detail=DETAIL),
-            Effort("standard", 112, places=3, beside=20),
+            Effort("standard", 112, places=3, decoder_steps=20),
         )
     }
 )
@@ -340,7 +340,7 @@ class OutputSettings(CheckedSettings):
         """Upper bound of the outputs' size on disk, bytes."""
         from matcap.brdf.folder import mapset_bytes
 
-        room = mapset_bytes(*self.size, png=self.png) + _BESIDES
+        room = mapset_bytes(*self.size, png=self.png) + _DECODER_TIMESS
         if self.targets or self.maps:
             from matcap.export.targets import export_bytes
 
@@ -469,7 +469,7 @@ def resolve(settings: CaptureSettings) -> Effort:
     if settings.generator == "decoder":
         return effort
     both = settings.generator is None and settings.time_limit is None
-    return replace(effort, steps=effort.beside if both else 0)
+    return replace(effort, steps=effort.decoder_steps if both else 0)
 
 
 # Progress of a capture: its stages, each with its share of the time.
@@ -490,14 +490,14 @@ EXEMPLAR_STAGES: Mapping[str, float] = MappingProxyType(
         "write": 0.17,
     }
 )
-_BESIDE = {
+_DECODER_TIMES = {
     "statistics": 0.02, "start": 0.01, "fine-tuning": 0.22, "matching": 0.06, "choice": 0.04,
 }  # fmt: skip
-_ALONE = 1.0 - sum(_BESIDE.values())
+_ALONE = 1.0 - sum(_DECODER_TIMES.values())
 _TIMES = {name: _ALONE * share for name, share in EXEMPLAR_STAGES.items()}
 # The same with a decoder beside the exemplar.
 BOTH_STAGES: Mapping[str, float] = MappingProxyType(
-    {**{name: share for name, share in _TIMES.items() if name != "write"}, **_BESIDE,
+    {**{name: share for name, share in _TIMES.items() if name != "write"}, **_DECODER_TIMES,
      "write": _TIMES["write"]}
 )  # fmt: skip
 # The same of five photographs of one sample.

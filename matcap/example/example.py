@@ -201,7 +201,7 @@ class Example:
         return tensors, described | ({} if self.variety == 1.0 else {"variety": self.variety})
 
     def in_file(
-        self, beside: object = None, entry: str = "example"
+        self, by_example: object = None, entry: str = "example"
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors and an entry of a material's description; the inverse of example_of()."""
         import torch
@@ -483,14 +483,14 @@ def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
         return Exemplified(about["name"], about["provenance"], example, default)
 
 
-def read(about: Mapping[str, Any], file: Any, path: Path, beside: object) -> Example | None:  # noqa: ANN401
+def read(about: Mapping[str, Any], file: Any, path: Path, by_example: object) -> Example | None:  # noqa: ANN401
     """Read the exemplar of an opened material's file, or None if it has none.
 
     Args:
         about: the file's JSON description.
         file: opened for NumPy or for PyTorch.
         path: of the file.
-        beside: unused.
+        by_example: unused.
 
     Raises:
         SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.

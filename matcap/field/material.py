@@ -233,9 +233,9 @@ class Material:
         }
         if len(self.generators) > 1:
             about["generator"] = self.made_by
-        beside = self.generators.get("example")
+        by_example = self.generators.get("example")
         for part in self.generators.values():
-            arrays, described = part.in_file(beside)
+            arrays, described = part.in_file(by_example)
             tensors |= arrays
             about |= described
         if self.latent is not None:
@@ -253,8 +253,10 @@ class Material:
         with opened(path, "pt") as (file, about):
             generators: dict[Generator, FieldGenerator] = {}
             for name in (name for name in GENERATORS if name in about):
-                beside = generators.get("example")
-                generators[name] = import_module(GENERATORS[name]).read(about, file, path, beside)
+                by_example = generators.get("example")
+                generators[name] = import_module(GENERATORS[name]).read(
+                    about, file, path, by_example
+                )
             if not generators:
                 raise ValueError("nothing in it makes maps")
             return Material(

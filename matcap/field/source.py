@@ -209,11 +209,11 @@ class FieldGenerator(Protocol):
         ...
 
     def in_file(
-        self, beside: FieldGenerator | None = None
+        self, by_example: FieldGenerator | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors by name, and entries of the JSON description, for the material's file.
 
-        `beside` is the generator whose exemplar the file has already.
+        `by_example` is the generator whose exemplar the file has already.
         """
         ...
 

@@ -42,7 +42,7 @@ _TILES = 8  # along the long side
 # A picture without a material: pixels across that are too few, share of pixels equal to others,
 # deviation of log radiance in fine texture below which there is none, difference between parts.
 _SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.4, 0.003, 2.4
-_APART = 32  # how far from others, as a share of the longer side
+_SEPARATION = 32  # how far from others, as a share of the longer side
 _NOT_ONE = 4.0  # severity of such a picture
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 
@@ -190,7 +190,7 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     light = _log(channel_mean(pixels))
     fine = float((blurred(light, 1.0) - blurred(light, 8.0)).std())
     # Smooth paint has equal neighbours, but no equal pixels a 32nd of the width apart.
-    far = max(1, max(pixels.shape[:2]) // _APART)
+    far = max(1, max(pixels.shape[:2]) // _SEPARATION)
     equal = min(_equal(pixels[far:], pixels[:-far]), _equal(pixels[:, far:], pixels[:, :-far]))
     mixed = float(np.sqrt(np.mean(np.square(unevenness(pixels, place)))))
     height, width = pixels.shape[:2]

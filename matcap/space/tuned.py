@@ -319,7 +319,7 @@ class TunedDecoder:
         )
 
     def in_file(
-        self, beside: FieldGenerator | None = None
+        self, by_example: FieldGenerator | None = None
     ) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors by name, and entries of the JSON description; the inverse of read()."""
         tensors = {f"decoder.{k}": v for k, v in self.decoder.state_dict().items()}
@@ -334,7 +334,7 @@ class TunedDecoder:
         drawing = self.drawing
         if drawing is not None:
             about["drawing"] = {}
-            if drawing.example is not beside:
+            if drawing.example is not by_example:
                 read, described = drawing.example.in_file(entry="drawing")
                 tensors |= read
                 about |= described
@@ -346,14 +346,14 @@ class TunedDecoder:
 
 
 def read(
-    about: Mapping[str, Any], file: safe_open, path: Path, beside: FieldGenerator | None
+    about: Mapping[str, Any], file: safe_open, path: Path, by_example: FieldGenerator | None
 ) -> TunedDecoder | None:
     """Read the decoder of a material's file, or None if it has none.
 
     Args:
         about: the file's JSON description.
         file: opened for PyTorch.
-        beside: the file's generator by example, which the decoder may draw from.
+        by_example: the file's generator by example, which the decoder may draw from.
 
     Raises:
         MatcapError: a tensor is missing or of a wrong shape.
@@ -371,7 +371,7 @@ def read(
         mean = stored.tensor(f"moments.{index}.mean", shape)
         deviation = stored.tensor(f"moments.{index}.deviation", shape)
         moments.append((mean, deviation))
-    drawing = _drawing(about, file, beside) if config.drawing else None
+    drawing = _drawing(about, file, by_example) if config.drawing else None
     texel_size = about["texel_size"] if drawing is None else drawing.texel_size
     return TunedDecoder(
         decoder=decoder,
@@ -387,7 +387,9 @@ def read(
     )
 
 
-def _drawing(about: Mapping[str, Any], file: safe_open, beside: FieldGenerator | None) -> Drawing:
+def _drawing(
+    about: Mapping[str, Any], file: safe_open, by_example: FieldGenerator | None
+) -> Drawing:
     """The drawing of an exemplar of its own, or of the material's."""
     entry = about["drawing"]
     finer = whole(entry.get("finer", 1), "finer", 1, _FINEST)
@@ -396,6 +398,6 @@ def _drawing(about: Mapping[str, Any], file: safe_open, beside: FieldGenerator |
     turned = entry.get("turned", False) is True
     if "exemplar" in entry:
         return Drawing(example_of(about, file, "drawing"), finer, turned)
-    if not isinstance(beside, Example):
+    if not isinstance(by_example, Example):
         raise ValueError("the exemplar that the decoder draws from is missing")
-    return Drawing(beside, finer, turned)
+    return Drawing(by_example, finer, turned)

@@ -126,7 +126,7 @@ def test_a_preset_is_its_effort_unless_steps_are_given(preset):
     assert resolve(alone) == replace(effort, steps=0)
     # Beside the exemplar, standard alone fine-tunes a decoder, unless time is limited.
     both = resolve(CaptureSettings(preset=preset))
-    assert both == replace(effort, steps=effort.beside)
+    assert both == replace(effort, steps=effort.decoder_steps)
     assert (both.steps > 0) == (preset == "standard")
     assert resolve(CaptureSettings(preset=preset, time_limit=90.0)).steps == 0
     fewer = resolve(CaptureSettings(preset=preset, steps=7, generator="decoder"))

@@ -202,7 +202,7 @@ def test_a_file_with_another_drawing_is_refused(tmp_path, monkeypatch, drawn, ch
     monkeypatch.setattr(
         TunedDecoder,
         "in_file",
-        lambda self, beside: (
+        lambda self, by_example: (
             about()[0],
             about()[1] | {"decoder": about()[1]["decoder"] | {"drawing": channels}},
         ),
@@ -277,7 +277,7 @@ def test_a_decoder_is_not_read_without_the_exemplar_that_it_draws_from(tmp_path,
     example = Example.of(blobs(352, 288))
     alone = a_material("both", config=SMALL, drawing=Drawing(example, finer=2))
     both = replace(alone, generators={"example": example, **alone.generators})
-    monkeypatch.setattr(Example, "in_file", lambda self, beside=None, entry="example": ({}, {}))
+    monkeypatch.setattr(Example, "in_file", lambda self, by_example=None, entry="example": ({}, {}))
     both.save(tmp_path / "m.matcap")
     with pytest.raises(MatcapError, match="draws from is missing"):
         Material.load(tmp_path / "m.matcap")

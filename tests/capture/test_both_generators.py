@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture import beside
-from matcap.capture.beside import choose
+from matcap.capture import both_generators
+from matcap.capture.both_generators import choose
 from matcap.capture.by_decoder import photograph_target
 from matcap.capture.pipeline import capture_into, capture_photo
 from matcap.capture.rectified import Method, Rectified, fit_photograph
@@ -29,8 +29,8 @@ SETTINGS = CaptureSettings(detail=DETAIL)
 @pytest.fixture
 def short(monkeypatch):
     """One step of fine-tuning."""
-    real = beside.TuneSettings
-    monkeypatch.setattr(beside, "TuneSettings", lambda _steps, **given: real(1, **given))
+    real = both_generators.TuneSettings
+    monkeypatch.setattr(both_generators, "TuneSettings", lambda _steps, **given: real(1, **given))
 
 
 def test_a_capture_has_both_generators_its_code_and_a_choice(tmp_path, short):
@@ -66,7 +66,7 @@ def test_an_interrupt_keeps_the_material_by_example(monkeypatch):
     def interrupted(*_args, **_named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(beside, "tuned_decoder", interrupted)
+    monkeypatch.setattr(both_generators, "tuned_decoder", interrupted)
     result = capture_photo(load_photo(PHOTO, long_side=DETAIL), SETTINGS)
     assert result.interrupted and set(result.material.generators) == {"example"}
 

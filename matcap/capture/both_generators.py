@@ -102,9 +102,9 @@ def _tuned(
     decoder, course = tuned_decoder(plane.texel_size, start, target, tune, clock, unit)
     with clock.stage("matching"):
         matched = match_photograph(decoder.material("", coarse.setup), plane, settings.seed)
-        found = matched.part(TunedDecoder)
-        assert found is not None
-    decoder = replace(found, turned=drawing.turned, texel_size=drawing.texel_size)
+        part = matched.part(TunedDecoder)
+        assert part is not None
+    decoder = replace(part, turned=drawing.turned, texel_size=drawing.texel_size)
     return decoder, Tuning(course.history, unit, drawing=True), target, plane
 
 
@@ -171,10 +171,10 @@ def _pieces(maps: Tensor, columns: int, size: int) -> Tensor:
 @torch.inference_mode()
 def _distance(pieces: Tensor, target: PhotographTarget) -> float:
     """Mean texture distance of a field's windows, each at a window of the photograph."""
-    found, count = [], target.windows.count
+    errors, count = [], target.windows.count
     for number, places in enumerate(torch.arange(count).split(_AT_ONCE)):
         maps = MapSet.from_stacked(pieces[places % len(pieces)], target.texel_size)
         rendered = render_windows(maps, target, places, number)
         compared = compare_windows(rendered, target, places, half_precision=False)
-        found.append(len(places) * float(compared))
-    return sum(found) / count
+        errors.append(len(places) * float(compared))
+    return sum(errors) / count
