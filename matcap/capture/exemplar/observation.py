@@ -233,7 +233,7 @@ def channel_noise(plane: Plane, tone: ToneCurve | None = None) -> Tensor:
     """
     tone = tone or ToneCurve()
     level = np.stack([smoothed(c, AROUND) for c in plane.linear.numpy()])
-    slope: NDArray[np.float32] | float = 1.0
+    slope: NDArray[np.floating] | float = 1.0
     if plane.noise is not None:
         drawn = plane.noise.square().numpy()
         deviation = np.sqrt(np.stack([smoothed(c, AROUND) for c in drawn]))
