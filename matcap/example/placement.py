@@ -249,8 +249,8 @@ _VISIBLE = (0.12, 0.15, 0.15)
 _FREE = 0.3  # share of the known places that has no penalty, those nearest to each other
 _LEAST = 0.5  # departure without a penalty, in visible changes
 _SLOPE, _MOST = 0.5, 60.0  # departure beyond those at which the penalty is largest; its value
-# Share of shading in the energy of a lit exemplar (leather 0240: 0.022) at which a trend of
-# contrast counts half: where relief shows less, contrast is albedo's (marble 2056: 0).
+# Share of shading in the energy of a lit exemplar (leather 0240: 0.022, marble 2056: 0) at which a
+# trend of contrast counts half: where relief shows less, it is the material's albedo that varies.
 _FAINT = 0.005
 _THINNED = 8  # squares between the places that are compared
 

@@ -13,6 +13,7 @@ Finer detail, which is added to the maps later, is copied from the same places (
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -83,19 +84,22 @@ class Copies:
 
     def read(self, planes: Floats) -> Floats:
         """Planes (C, h, w) of the same rectangle on another grid, copied likewise."""
-        size = planes.shape[:0:-1]
-        at = np.nonzero(
-            cv2.resize(self.copied.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-        )
-        source = []
-        for axis, line in enumerate(at):
-            steps = (self.source - np.indices(self.copied.shape))[axis].astype(np.float32)
-            longer = planes.shape[1 + axis] / steps.shape[axis]
-            moved = np.rint(longer * cv2.resize(steps, size, interpolation=cv2.INTER_NEAREST)[at])
-            source.append((line + moved.astype(np.int64)).clip(0, planes.shape[1 + axis] - 1))
+        height, width = planes.shape[1:]
+
+        def enlarged(plane: NDArray[Any]) -> Floats:
+            thin = plane.astype(np.float32)
+            wide = cv2.resize(thin, (width, height), interpolation=cv2.INTER_NEAREST)
+            return np.asarray(wide, np.float32)
+
+        rows, columns = np.nonzero(enlarged(self.copied))
+        down, right = self.source - np.indices(self.copied.shape)
+        by = height / down.shape[0], width / right.shape[1]
+        from_rows = rows + np.rint(by[0] * enlarged(down)[rows, columns]).astype(np.int64)
+        from_columns = columns + np.rint(by[1] * enlarged(right)[rows, columns]).astype(np.int64)
         copied = planes.copy()
-        rows, columns = source
-        copied[:, at[0], at[1]] = planes[:, rows, columns]
+        copied[:, rows, columns] = planes[
+            :, from_rows.clip(0, height - 1), from_columns.clip(0, width - 1)
+        ]
         return copied
 
 
@@ -355,15 +359,16 @@ def _sources(
 ) -> tuple[BlockPlaces, TexelMask]:
     """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
-    An overlap is divided where both blocks' features (H, W, C) differ least.
+    An overlap is divided where both blocks' features (H, W, C) differ least, also with blocks that
+    keep their maps.
     """
     source, copied = np.indices(hidden.shape), np.zeros(hidden.shape, np.bool_)
-    before: dict[tuple[int, int], tuple[int, int]] = {}
+    before = {place: place for place in _grid(hidden.shape) if place not in chosen}
     for place, donor in chosen.items():
         here, own = _block(place), np.ones((_BLOCK, _BLOCK), np.bool_)
         for other, others in before.items():
             own &= _kept_of(place, donor, other, others, features)
-        own = hidden[here] & (own | ~copied[here])
+        own &= hidden[here]
         moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
         texel = np.indices(hidden.shape)[:, *here]
         source[:, *here] = np.where(own, texel + moved, source[:, *here])
