@@ -100,10 +100,10 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 UNLIMITED = Effort("standard", 800)
 # Seconds of the shortest capture, from the command's start to its end, on one idle thread of a
 # machine that does `slowness`'s work in _WORK seconds.
-LEAST_TIME, _WORK = 10.0, 0.07
+LEAST_TIME, _WORK = 12.0, 0.07
 _EACH = 0.25  # share of that which each further photograph of a set adds
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
-TIME_FOR_DETAIL = ((60.0, FINE_DETAIL), (20.0, DETAIL), (0.0, QUICK_DETAIL))
+TIME_FOR_DETAIL = ((75.0, FINE_DETAIL), (26.0, DETAIL), (0.0, QUICK_DETAIL))
 
 
 @dataclass(frozen=True)
