@@ -101,6 +101,7 @@ UNLIMITED = Effort("standard", 800)
 # Seconds of the shortest capture, from the command's start to its end, on one idle thread of a
 # machine that does `slowness`'s work in _WORK seconds.
 LEAST_TIME, _WORK = 12.0, 0.07
+_VARIES = 1.25  # factor by which a busy machine may become slower during a capture
 _EACH = 0.25  # share of that which each further photograph of a set adds
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((75.0, FINE_DETAIL), (26.0, DETAIL), (0.0, QUICK_DETAIL))
@@ -363,7 +364,8 @@ def slowness() -> float:
             np.sort(np.fft.irfft2(np.fft.rfft2(numbers)), axis=0)
         return time.perf_counter() - began
 
-    return max(seconds(), seconds()) / _WORK  # load varies: the slower of two
+    slower = max(seconds(), seconds()) / _WORK
+    return slower * _VARIES if slower > _VARIES else slower
 
 
 def within_time(settings: CaptureSettings, photographs: int, slower: float) -> CaptureSettings:
