@@ -65,9 +65,12 @@ def batch(
     from matcap.batch.run import prepare, work_off
     from matcap.batch.samples import settings_of
     from matcap.batch.work import Policy
+    from matcap.capture.settings import slowness, within_time
     from matcap.cli.display import BatchDisplay
 
     settings = settings_of(source, given)
+    if settings.capture.time_limit is not None:
+        within_time(settings.capture, 1, slowness())  # refuses what no capture can keep
     policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
     with BatchDisplay.open(quiet=quiet) as shown:
         if scheduler:  # workers have other current folders

@@ -86,7 +86,7 @@ def inspect(
         for path, quality, more in seen if details or not several else ():
             typer.echo("\n".join(_rated(str(path), quality, shared) + more))
         for finding in shared:
-            if details or finding.remedy:
+            if details or (finding.remedy and finding.rating is Rating.NOT_JUDGED):
                 typer.echo(f"   all: {finding.line()}")
     summary: dict[str, Any] = {"photographs": photographs}
     summary |= {"materials": materials} if materials else {}

@@ -289,11 +289,9 @@ def _radiometric(photo: Photo) -> Finding:
     if photo.floating:
         says = "Floating-point numbers, taken as proportional to light."
         return Finding("radiometric", False, Rating.GOOD, says)
-    says = "A developed picture: albedo is relative"
-    if photo.tone is not None:
-        says += f", its tone curve raises contrast to the power {photo.tone.exponent:.2f}"
+    says = "A developed picture: albedo is relative."
     remedy = "Photograph RAW (DNG) where the phone can."
-    return Finding("radiometric", False, Rating.NOT_JUDGED, f"{says}.", remedy)
+    return Finding("radiometric", False, Rating.NOT_JUDGED, says, remedy)
 
 
 def _reading(photo: Photo) -> tuple[Finding, ...]:

@@ -148,7 +148,7 @@ def test_a_time_limit_without_steps_takes_unlimited_steps():
         ({"preset": "draft"}, 1024),
         ({"preset": "draft", "generator": "decoder"}, 1024),
         ({"time_limit": 8.0}, 512),
-        ({"time_limit": 20.0}, 1024),
+        ({"time_limit": 26.0}, 1024),
         ({"time_limit": 90.0}, 2048),
         ({"detail": 640}, 640),
         ({"preset": "instant", "detail": 4000}, 4000),

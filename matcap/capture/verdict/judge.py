@@ -21,10 +21,10 @@ PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity", "flash_of
 
 _UNDETERMINED = "one photograph leaves open what of it is colour, gloss and relief"
 _AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width", "highlight_residue"})
-_IN_TEXTURE = frozenset({"texture", "contrast", "pattern", "repeat"})
+_IN_TEXTURE = frozenset({"texture", "contrast", "pattern"})
 # What a fault of the photograph explains, by its check; the first is the likeliest.
 _BY_PHOTOGRAPH = {
-    "clipped": _AT_HIGHLIGHT | {"colour", "light", "contrast"},
+    "clipped": _AT_HIGHLIGHT | {"colour"},
     "sharpness": _IN_TEXTURE,
     "stationarity": _IN_TEXTURE | {"light", "colour"},
     "tilt": frozenset({"light", "texture"}),
@@ -67,10 +67,12 @@ class CaptureVerdict:
     @property
     def worst(self) -> Finding:
         """The finding with the largest severity; a photograph that has failed explains the rest."""
-        first = self.findings[0]
+        first, *others = self.findings
         if first.rating is Rating.FAILED:
             return first
-        return max(self.findings, key=lambda finding: finding.severity)
+        # A photograph that is good is no difference that is seen.
+        seen = others if first.rating is Rating.GOOD else self.findings
+        return max(seen, key=lambda finding: finding.severity)
 
     def sentence(self) -> str:
         """The verdict in one line: rating, largest difference, likely cause and remedy."""

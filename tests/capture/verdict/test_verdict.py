@@ -586,6 +586,13 @@ def test_a_usable_capture_is_told_its_largest_difference():
     assert verdict.worst.says in verdict.sentence()
 
 
+def test_a_good_photograph_is_not_what_is_wrong():
+    """Small differences add up to a usable capture; a tilt within its limit is none of them."""
+    seen = replace(FINE, light=0.119, texture=1.09, order=(0.5, 0.36), **shot_with("tilt", 7.99))
+    verdict = judge(seen)
+    assert verdict.rating is Rating.USABLE and verdict.worst.name != "photograph"
+
+
 def test_a_set_is_not_told_to_be_one():
     def remedy(photographs, order=None):
         seen = replace(FINE, light=0.5, photographs=photographs, order=order)
