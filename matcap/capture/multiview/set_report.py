@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -20,11 +21,10 @@ from matcap.capture.multiview.solve import Solved, solve
 from matcap.capture.multiview.texels import (
     Estimate,
     SharedMaterials,
-    log_rendered,
+    as_photographed,
     parameters_of,
-    points_of,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import ResampledView, SharedLight
 from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
 from matcap.files.color import srgb_picture
 from matcap.flash.rectify import picture_of
@@ -38,9 +38,9 @@ from matcap.photo.photo import standing
 
 # Settings of the leave-one-out solves; docs/notes/several.md.
 _ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
-# Steps per texel in each round (solve.ROUNDS): of the solution by all photographs, which starts
-# from the prediction, and of those without one photograph, which start from that solution.
-_ROUNDS, _WITHOUT = (2, 1), (1,)
+# Steps per texel in each round (solve.ROUNDS) of the solutions without one photograph, which start
+# from that of all.
+_WITHOUT = (1,)
 # Texels to which shared parameters are fitted; few, as the initial light is nearly exact.
 _SAMPLED = 1500
 
@@ -61,15 +61,13 @@ class Foretold(NamedTuple):
 
 
 class LeaveOneOut(NamedTuple):
-    """Medians of |log radiance of photograph - rendering| for each photograph, on one coarse grid.
+    """Medians of |log radiance of photograph - rendering| for each photograph, on a coarse grid.
 
     NaN without flash.
     """
 
     by_others: tuple[float, ...]
     """Of maps estimated from all other photographs; () if fewer than two have flash."""
-    by_all: tuple[float, ...]
-    """Of maps estimated from all."""
     by_first: tuple[float, ...]
     """Of maps estimated from the first photograph alone; () as by_others."""
     pictures: tuple[Foretold, ...] = ()
@@ -113,11 +111,10 @@ def leave_one_out(
     views = alignment.on_grid(across, down)
     lit = [number for number, view in enumerate(views) if view.flash]
     if len(lit) < 2:
-        return LeaveOneOut((), solved.residual, ())
-    light = solved.light.of_some(range(len(views)))
-    by_all = solve(views, small, light, rounds=_ROUNDS, sampled=_SAMPLED)
+        return LeaveOneOut((), ())
+    by_all = replace(solved, estimate=solved.estimate.resized((down, across), alignment.extent))
     by_others, by_first = [math.nan] * len(views), [math.nan] * len(views)
-    residuals, pictures = list(solved.residual), []
+    pictures = []
     for left_out in lit:
         kept = [number for number in range(len(views)) if number != left_out]
         some, light = [views[number] for number in kept], by_all.light.of_some(kept)
@@ -127,28 +124,17 @@ def leave_one_out(
         )
         pictures.append(Foretold.of(left_out + 1, views[left_out], foretold))
         by_first[left_out], _ = left_out_residual(views[left_out], own.maps, begun)
-        residual, _ = left_out_residual(views[left_out], by_all.maps, by_all.light)
-        residuals[left_out] = residuals[left_out] if math.isnan(residual) else residual
-    return LeaveOneOut(tuple(by_others), tuple(residuals), tuple(by_first), tuple(pictures))
+    return LeaveOneOut(tuple(by_others), tuple(by_first), tuple(pictures))
 
 
 def left_out_residual(
     view: ResampledView, maps: MapSet, light: SharedLight
 ) -> tuple[float, Tensor]:
     """Median absolute residual of log radiance of a photograph not used for the maps, NaN without
-    valid texels; and its rendering, (3, H, W) log radiance, each channel's gain fitted.
+    valid texels; and its rendering (as_photographed).
     """
-    points = points_of(view.log.shape[-2:], extent=view.extent)
-    lit = light_at(0, view, replace(light, gain=torch.zeros(1, 3)), points)
-    (rendered,) = log_rendered(parameters_of(maps), [lit])
-    residual = view.log - rendered
-    for channel in range(3):
-        valid = residual[channel][view.seen[channel]]
-        if valid.numel():
-            residual[channel] -= valid.median()
-    valid = residual[view.seen]
-    error = float(valid.abs().median()) if valid.numel() else math.nan
-    return error, view.log - residual
+    rendered = as_photographed(view, parameters_of(maps), light)
+    return float((view.log - rendered)[view.seen].abs().nanmedian()), rendered
 
 
 # Report on several photographs of one sample: cameras, residuals, measured shares.
@@ -193,7 +179,7 @@ class SetReport:
         x, y = solved.light.offset.tolist()
         return SetReport(
             alignment.views,
-            checked.by_all,
+            solved.residual,
             checked.by_others,
             registration.left_out,
             solved.measured,
@@ -272,7 +258,7 @@ _CAMERAS: tuple[CodeTriple, ...] = (
 )  # fmt: skip
 _ROUND, _SPARK = 11, 4  # radii of the symbols of a camera and a flash, pixels
 _MARGIN = 0.12  # around the diagram, as a share of its size
-_LINE = 24  # height of a line of text, pixels
+_LINE, _LETTER = 24, 8  # height of a line of text and width of a letter, pixels
 _TRIPLES = 3  # predictions of photographs side by side
 
 
@@ -454,23 +440,10 @@ def _text(report: SetReport, width: int, height: int) -> Image.Image:
     y = 2 * _LINE
     for text, number in set_report_lines(report):
         colour = _INK if number is None else _colour(number) if number else _LEFT_OUT
-        for line in _wrapped(text, font, width - 2 * _ROUND):
+        for line in textwrap.wrap(text, (width - 2 * _ROUND) // _LETTER):
             ink.text((_ROUND, y), line, fill=colour, font=font)
             y += _LINE - 4
     return sheet
-
-
-def _wrapped(
-    text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
-) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        longer = f"{lines[-1]} {word}".strip()
-        if lines[-1] and font.getlength(longer) > width:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return lines
 
 
 def _camera(ink: ImageDraw.ImageDraw, view: _View, frame: _Frame, axes: tuple[int, int]) -> None:
