@@ -64,7 +64,7 @@ Keys:
         re-rendering, and `leave_one_out_residual`, with maps from all other photographs, or null),
         `left_out` (name and reason), `materials` that texels share (`f0` by channel, `roughness`,
         `conductor`, mean `share`; absent of one), `first_alone` (whether the maps are the first
-        photograph's, as that predicts the others better than they each other),
+        photograph's, as they predict each other hardly better than it does),
         `measured_share` (by map: share measured by photographs rather
         than predicted by the network), flash offset and lens distortion;
         with --union `mosaic`: `margins` (texels around the first photograph's rectangle),

@@ -37,7 +37,7 @@ from matcap.capture.multiview.texels import (
     Estimate,
     ParameterPrior,
     SharedMaterials,
-    log_rendered,
+    as_photographed,
     points_of,
     robust_cost,
     stepped,
@@ -452,17 +452,9 @@ def _cost(residual: Tensor, seen: Tensor) -> float:
 
 def _predicted(view: ResampledView, fit: _Fit) -> float:
     """Mean absolute error of the code of a photograph that was held back, its gains fitted."""
-    light = replace(fit.light, gain=torch.zeros(1, 3))
-    lit = light_at(0, view, light, points_of(view.log.shape[-2:], extent=view.extent))
-    (log,) = log_rendered(fit.parameters, [lit])
-    errors = []
-    for channel in range(3):
-        seen = view.seen[channel]
-        if seen.any():
-            true, rendered = view.log[channel][seen], log[channel][seen]
-            rendered = rendered + (true - rendered).median()
-            errors.append((_code(rendered) - _code(true)).abs().mean())
-    return float(torch.stack(errors).mean()) if errors else math.nan
+    rendered = as_photographed(view, fit.parameters, fit.light)
+    error = (_code(rendered) - _code(view.log)).abs().where(view.seen, torch.nan)
+    return float(error.flatten(1).nanmean(1).nanmean())
 
 
 def _code(log: Tensor) -> Tensor:

@@ -106,7 +106,7 @@ def estimate_multiview(
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("predict"):
         several = prior, alone, by_features.light
-        unknown = LeaveOneOut((), solved.residual, ())
+        unknown = LeaveOneOut((), ())
         checked = unknown if interrupted else leave_one_out(alignment, solved, *several)
         if checked.kept_first is not None and not mosaic.margins.any:
             solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only

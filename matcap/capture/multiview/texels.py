@@ -82,8 +82,8 @@ class Stepped:
     """(photographs, some parameters, H, W) change when each photograph is left out: the jackknife
     [efron1982]. Empty unless requested."""
     halves: Tensor
-    """(2, some parameters, H, W) by each half of the photographs alone (halves_of). Empty unless
-    requested, or with fewer than _HALVED."""
+    """(2, 2, H, W) slopes by each half of the photographs alone (halves_of). Empty unless the
+    changes of slopes are requested, or with fewer than _HALVED."""
 
     @staticmethod
     def none(parameters: Tensor) -> Stepped:
@@ -307,6 +307,15 @@ def log_rendered(parameters: Tensor, lights: Sequence[DifferentiableLight]) -> l
     return [light.onto(normal).log_radiance(surface)[0] for light in lights]
 
 
+def as_photographed(view: ResampledView, parameters: Tensor, light: SharedLight) -> Tensor:
+    """Log radiance (3, H, W) of parameters as a photograph shows them, its gains fitted to it."""
+    points = points_of(view.log.shape[-2:], extent=view.extent)
+    lit = light_at(0, view, replace(light, gain=torch.zeros(1, 3)), points)
+    (log,) = log_rendered(parameters, [lit])
+    off = (view.log - log).where(view.seen, torch.nan).flatten(1).nanmedian(1).values
+    return log + off.nan_to_num(0.0)[:, None, None]
+
+
 def _surface(parameters: Tensor) -> tuple[Tensor, Reflectance]:
     """Normals and reflectance of parameters (PARAMETERS, h, w)."""
     log_albedo, log_f0, logit_roughness, slopes = parameters[:PARAMETERS].split(_PARTS)
@@ -373,7 +382,9 @@ def stepped(
     shape = parameters[changed or slice(0)].shape
     changes = torch.zeros(len(views) if changed else 0, *shape)
     places = [view.camera.place[:2] for view in views]
-    parts = halves_of(places) if changed and all(view.flash for view in views) else ()
+    # Halves are of slopes alone: albedo's octaves have no use for them.
+    halved = changed == SLOPES and all(view.flash for view in views)
+    parts = halves_of(places) if halved else ()
     halves = torch.zeros(len(parts), *shape)
     for rows in strips(parameters.shape[1], ROWS):
         part = slice(PARAMETERS if slopes else SLOPES.start), rows

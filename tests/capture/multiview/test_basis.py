@@ -77,12 +77,15 @@ def test_two_photographs_or_ambient_light_give_no_basis() -> None:
 
 def test_the_first_photograph_is_kept_where_others_predict_each_other_worse() -> None:
     nan = float("nan")
-    worse = LeaveOneOut((0.3, 0.2, nan, 0.2), (0.1,) * 4, (0.1, 0.1, nan, 0.2))
+    worse = LeaveOneOut((0.3, 0.2, nan, 0.2), (0.1, 0.1, nan, 0.2))
     assert worse.kept_first == pytest.approx((0.2, 0.15))
+    hardly = LeaveOneOut((0.3, 0.1, 0.1), (0.1, 0.12, 0.12))
+    assert hardly.kept_first == pytest.approx((0.1, 0.12))
+    assert LeaveOneOut(*(each[:2] for each in hardly[:2])).kept_first is None  # two: one prediction
     # What the first one's maps say of the first itself does not count.
-    better = LeaveOneOut((0.3, 0.1, nan, 0.1), (0.1,) * 4, (0.01, 0.1, nan, 0.2))
+    better = LeaveOneOut((0.3, 0.1, nan, 0.1), (0.01, 0.1, nan, 0.2))
     assert better.kept_first is None
-    assert LeaveOneOut((), (0.1, 0.1), ()).kept_first is None
+    assert LeaveOneOut((), ()).kept_first is None
 
 
 def test_each_half_of_the_photographs_has_cameras_to_several_sides() -> None:

@@ -90,7 +90,7 @@ def test_a_report_states_that_the_first_photograph_is_kept(looked):
     result = SetReport(
         looked.views, (0.1,) * 3, (), (), (0.0,) * 4, (0.0,) * 3, own, None, (0.2, 0.1)
     )
-    assert "0.200" in result.warning() and "plaster_0 alone does (0.100)" in result.warning()
+    assert "plaster_0 alone does" in result.warning() and "0.200 and 0.100" in result.warning()
     assert result.document()["first_alone"]
 
 

@@ -70,6 +70,26 @@ def test_more_photographs_tell_more():
     assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
 
 
+def shadowed(view):
+    """With a third of it at a third of the light."""
+    log = view.log.clone()
+    log[..., : log.shape[-1] // 3] -= math.log(3.0)
+    return replace(view, log=log)
+
+
+def two_stops_darker(view):
+    return replace(view, log=view.log - math.log(4.0))
+
+
+@pytest.mark.parametrize("spoilt", [shadowed, two_stops_darker])
+def test_one_photograph_that_is_spoilt_spoils_no_relief(spoilt):
+    maps = grainy(4)
+    views, light = seen([maps] * 5, 0.01)
+    sound = _degrees(_solved(views, flattened(maps), light).maps, maps)
+    views[3] = spoilt(views[3])
+    assert _degrees(_solved(views, flattened(maps), light).maps, maps) < 1.3 * sound
+
+
 def test_a_photograph_is_predicted_from_the_others():
     maps = grainy(2)
     views, light = seen([maps] * 5, 0.01)
