@@ -236,7 +236,7 @@ def refitted_to_highlight(
     maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
     residuals = observed.light.residuals(maps)
     target = replace(
-        observed.ring_target(residuals, (bool(metal.any()),)),
+        RingTarget.of(observed, residuals, (bool(metal.any()),)),
         normal=maps.normal,
         tints=(maps.specular / maps.specular.mean(0, keepdim=True),),
     ).thinned(FIT_TEXELS // 2)
