@@ -1,10 +1,11 @@
-"""One glossy material by one photograph, a bracket and an HDR gain map, and its truth.
+"""Glossy materials by one photograph, a bracket, an HDR gain map and a float file, and the truth.
 
-python docs/images/light.py FOLDER sheet.jpg [MATERIAL]     docs/images/light.jpg (crackle)
+python docs/images/light.py FOLDER sheet.jpg [SETS MATERIAL ...]     docs/images/light.jpg (crackle)
 
 The photographs are simulated, as a phone develops them: one JPEG; the same and another four stops
 darker, the camera turned by half a degree; one whose base is toned locally, with an HDR gain map
-(ISO 21496-1). Printed: highlight contrast of the captured maps over the true one.
+(ISO 21496-1); the light itself. Printed for each material: highlight contrast of the captured maps
+over the true one. The sheet shows the last. SETS is a folder of map sets.
 """
 
 from __future__ import annotations
@@ -19,57 +20,81 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from matcap.lab.bench.methods import exemplar_maps
-from matcap.lab.measures.lights import highlight_contrast, mirrored_scene, relight_all
-from matcap.lab.simulate.photograph import PhoneCamera, Shot
-from matcap.lab.simulate.specimen import subjects
-from matcap.lab.simulate.write_jpeg import PHONE, write_jpeg
+import tifffile
 from numpy.typing import NDArray
 from PIL import Image
+from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.color import srgb_picture
+from matcap_lab.bench.floors import exemplar_maps
+from matcap_lab.measures.evaluator import highlight_contrast, mirrored_scene, relight_all
+from matcap_lab.simulate.files import PHONE, write_jpeg
+from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise, take
+from matcap_lab.simulate.specimen import Specimen, phone_cone, subjects
 
 CAMERA = PhoneCamera(1024, 768)
 DETAIL, SIDE = 512, 256
+MARGIN = 400  # texels of the plane around the picture, for a camera that is tilted
 STOPS = 4
 ISO = b"urn:iso:std:iso:ts:21496:-1\0"
 
 
-def main(folder: Path, sheet: Path, name: str) -> None:
+def main(folder: Path, sheet: Path, sets: Path | None, names: Sequence[str]) -> None:
     """Simulate, capture and relight."""
     folder.mkdir(parents=True, exist_ok=True)
-    (subject,) = subjects([name])
-    shot = subject.take(CAMERA)
-    tilt = subject.setup.tilt
-    turned = replace(subject.setup, tilt=(tilt[0] + math.radians(0.5), tilt[1]))
-    other = replace(subject, setup=turned).take(CAMERA)
-    darker = shot.setup.intensity[0] / other.setup.intensity[0] * 2.0**-STOPS
-    light, dark, mapped = (folder / f"{name}{kind}.jpg" for kind in ("", "_dark", "_gain"))
-    write_jpeg(light, shot, subject.seed, PHONE)
-    dark_shot = Shot(other.linear * darker, other.setup, CAMERA, exposure=2.0**-STOPS)
-    write_jpeg(dark, dark_shot, subject.seed + 1, PHONE)
-    write_gain_map(mapped, shot.linear.astype(np.float32))
-    scene = mirrored_scene(shot.setup)
-    width = SIDE * 2.0 / DETAIL
-    pieces = [subject.pieces(subject.seed + 1 + k)(2 * SIDE, 2 * SIDE, width / 2 / SIDE)
-              for k in range(2)]  # fmt: skip
-    truth = float(np.mean([math.log(highlight_contrast(piece, scene)) for piece in pieces]))
-    rows = []
-    for label, paths in {"one": [light], "bracket": [light, dark], "gain map": [mapped]}.items():
-        settings = CaptureSettings(detail=DETAIL, fov=CAMERA.fov)
-        result = capture_file(paths[0], settings, others=paths[1:])
-        maps = exemplar_maps(result)
-        middle = centred(maps.maps)
-        ratio = math.exp(math.log(highlight_contrast(middle, scene)) - truth)
-        print(f"{label}: {ratio:.2f} {result.photo.headroom:.1f} {result.photo.notes}", flush=True)
-        rows.append(relight_all(middle, maps.setup.intensity, scene, size=(SIDE, SIDE)))
-    rows.append(relight_all(pieces[0], shot.setup.intensity, scene, size=(SIDE, SIDE)))
+    for subject in subjects(names, sets):
+        subject = replace(subject, setup=phone_cone(subject.setup, subject.name))
+        rows, ratios = relit(subject, written(folder, subject))
+        print(subject.name, *(f"{name} {ratio:.2f}" for name, ratio in ratios.items()), flush=True)
     shown = [np.concatenate([lit[k].permute(1, 2, 0).numpy() for lit in rows], 1) for k in (0, 2)]
     codes = np.rint(np.concatenate(shown) * 255.0).astype(np.uint8)
     Image.fromarray(codes).save(sheet, "JPEG", quality=85)
+
+
+def written(folder: Path, subject: Specimen) -> dict[str, list[Path]]:
+    """Write a specimen's photographs; their paths by kind."""
+    width, height = (2 * side + MARGIN for side in (CAMERA.width, CAMERA.height))
+    whole = subject.realise(width, height, 1.0 / CAMERA.width)
+
+    def realise(w: int, h: int, _texel: float) -> MapSet:
+        return whole.crop((width - w) // 2, (height - h) // 2, w, h)  # the same piece by any camera
+
+    tilt = subject.setup.tilt
+    turned = replace(subject.setup, tilt=(tilt[0] + math.radians(0.5), tilt[1]))
+    shot, other = (take(realise, CAMERA, setup) for setup in (subject.setup, turned))
+    darker = shot.setup.intensity[0] / other.setup.intensity[0] * 2.0**-STOPS
+    light, dark, mapped = (folder / f"{subject.name}{k}.jpg" for k in ("", "_dark", "_gain"))
+    write_jpeg(light, shot, subject.seed, PHONE)
+    dark_shot = Shot(other.linear * darker, other.setup, CAMERA, exposure=2.0**-STOPS)
+    write_jpeg(dark, dark_shot, subject.seed + 1, PHONE)
+    noisy = sensor_noise(shot.linear, CAMERA, subject.seed).clip(0.0).astype(np.float32)
+    write_gain_map(mapped, noisy)
+    floats = folder / f"{subject.name}.tif"
+    tifffile.imwrite(floats, noisy, photometric="rgb")
+    return {"one": [light], "bracket": [light, dark], "gain map": [mapped], "float": [floats]}
+
+
+def relit(
+    subject: Specimen, photographs: dict[str, list[Path]]
+) -> tuple[list[Tensor], dict[str, float]]:
+    """Pictures of captures and of the truth under mirrored lights; highlight contrast over true."""
+    setup = subject.take(CAMERA).setup
+    scene, width = mirrored_scene(setup), SIDE * 2.0 / DETAIL
+    pieces = [subject.pieces(subject.seed + 1 + k)(2 * SIDE, 2 * SIDE, width / 2 / SIDE)
+              for k in range(2)]  # fmt: skip
+    truth = float(np.mean([math.log(highlight_contrast(piece, scene)) for piece in pieces]))
+    rows, ratios = [], {}
+    for label, paths in photographs.items():
+        settings = CaptureSettings(detail=DETAIL, fov=CAMERA.fov)
+        maps = exemplar_maps(capture_file(paths[0], settings, others=paths[1:]))
+        middle = centred(maps.maps)
+        ratios[label] = math.exp(math.log(highlight_contrast(middle, scene)) - truth)
+        rows.append(relight_all(middle, maps.setup.intensity, scene, size=(SIDE, SIDE)))
+    rows.append(relight_all(pieces[0], setup.intensity, scene, size=(SIDE, SIDE)))
+    return rows, ratios
 
 
 def centred(maps: MapSet) -> MapSet:
@@ -104,4 +129,5 @@ def jpeg(codes: NDArray[np.uint8], content: bytes) -> bytes:
 
 if __name__ == "__main__":
     given: Sequence[str] = sys.argv[1:]
-    main(Path(given[0]), Path(given[1]), given[2] if len(given) > 2 else "crackle")
+    sets = Path(given[2]) if len(given) > 2 else None
+    main(Path(given[0]), Path(given[1]), sets, given[3:] or ["crackle"])

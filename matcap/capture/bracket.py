@@ -9,8 +9,9 @@ R + t n^T / d, whose largest and smallest singular values differ by |t| / d.
 Values become light by the pictures' common tone curve (photo/response.py). Each pixel is then the
 mean of what the photographs measure there, weighted by the inverse of their variances. Clipped and
 almost clipped values are left out, and what moved or is aligned wrongly: where a photograph
-deviates from the brightest unclipped one by more than _DEVIATES. White is that of the longest
-exposure.
+deviates from the brightest unclipped one by more than _DEVIATES. Glints move with the camera: near
+clipped places the darker photograph is right there, as it alone shows all of them. White is that of
+the longest exposure.
 
 In come photographs, out goes one that clips where the shortest exposure clips (Photo.headroom).
 """
@@ -52,6 +53,9 @@ _FARTHEST = 0.2  # of a side: standard deviation by which nearer shifts are pref
 _INLIER = 1.0  # pixels by which a tile's shift may differ from the homography's
 _LEAST_CORRELATION = 0.08  # of a tile's contrast, where a dark picture's is half noise
 _LEAST_TILES, _LEAST_AGREEING = 10, 0.4  # number, and share, of tiles that agree
+# Pixels across, and least correlation, of the whole picture where too few tiles agree, as on smooth
+# materials: of ten materials it is at least 0.44, of unlike pairs of them at most 0.2.
+_SMOOTH, _LEAST_WHOLE = 512, 0.3
 _SAME_SHAPE = 0.02  # difference of heights over the width
 _LEVEL = 128.0  # of normalised contrast, where there is none
 _DARKEST_CODES = 6.0  # steps of 8-bit codes, below which developed values are not compared
@@ -64,6 +68,8 @@ _FADES = (0.8, FULL)  # of the clip level: weight falls to 0 between these
 _SPREAD = 1.5  # pixels, standard deviation of the blur of clipping
 _DEVIATES = 0.25  # log light; larger local differences are motion or misregistration
 _LOCAL = 2.0  # pixels, standard deviation of their averages
+_GLINT = 0.3  # light, of the longest exposure's white, from which on what moved is a glint
+_GLINT_WIDTH = 4  # pixels, added to the way of the mirror point
 _NOISE_AROUND = 4.0  # pixels, standard deviation of averages of its variance
 _SHOT = 1.0 / 6000.0  # variance of light over light, white being 1, of a sensor that is not known
 
@@ -138,6 +144,14 @@ class _Aligned:
     """(H, W) inside of it."""
     noise: Picture | None
     """(H, W, 3) its noise, resampled."""
+    way: float = 0.0
+    """Way of its camera from the first's, over the distance."""
+
+    @cached_property
+    def glint_reach(self) -> int:
+        """Pixels by which glints may be elsewhere than in the first photograph."""
+        distance = 0.5 / math.tan(math.radians(self.photo.fov) / 2.0)
+        return _GLINT_WIDTH + math.ceil(self.way * distance * self.pixels.shape[1])
 
     @cached_property
     def grey(self) -> Picture:
@@ -201,11 +215,20 @@ class Bracket:
         total, weights = np.zeros_like(first.pixels), np.zeros_like(first.pixels)
         noise = np.zeros_like(total)
         longest_first = np.argsort(self.factors, kind="stable").tolist()
+        clips, bound = np.zeros(first.clipped.shape, np.bool_), np.zeros_like(total)
         for number in longest_first:
             view, light = self.views[number], self.light(number)
             weight = self._weight(number)
             if number != longest_first[0]:
-                weight = weight * _agreement(light, total, weights)
+                moved = _moved(light, total, weights)
+                around = np.ones((2 * view.glint_reach + 1,) * 2, np.uint8)
+                bright = np.maximum(light, total / np.maximum(weights, 1e-30)).max(axis=2) > _GLINT
+                glint = moved & bright & (cv2.dilate(clips.astype(np.uint8), around) > 0)
+                weight = weight * ~(moved & ~glint)[..., None]
+                for each in (total, weights, noise):
+                    each[glint & view.inside] = 0.0
+            clips |= view.inside & ~view.usable.all(axis=2)
+            bound = np.where(view.inside[..., None], np.maximum(bound, light), bound)
             total += weight * light
             weights += weight
             if view.noise is not None:
@@ -221,7 +244,7 @@ class Bracket:
         linear = all(not view.photo.tone_mapped for view in self.views)
         return replace(
             first,
-            pixels=np.where(measured, total / weights, self.light(longest_first[0])),
+            pixels=np.where(measured, total / weights, bound),
             clipped=clipped,
             stored_clipped_share=float(clipped.mean()),
             headroom=headroom,
@@ -263,8 +286,8 @@ class Bracket:
         return np.asarray(np.where(view.usable, weight, 0.0), np.float32)
 
 
-def _agreement(light: Picture, total: Picture, weights: Picture) -> Picture:
-    """(H, W, 3) 1 where light agrees with what longer exposures measure, or they do not, else 0."""
+def _moved(light: Picture, total: Picture, weights: Picture) -> NDArray[np.bool_]:
+    """(H, W) where light disagrees with what longer exposures measure."""
     both = (weights > 0.0) & (light > 0.0)
     known = np.maximum(total, 1e-6) / np.maximum(weights, 1e-30)
     ratio = np.where(both, np.log(np.maximum(light, 1e-6)) - np.log(np.maximum(known, 1e-6)), 0.0)
@@ -272,8 +295,7 @@ def _agreement(light: Picture, total: Picture, weights: Picture) -> Picture:
         cv2.GaussianBlur(np.asarray(each, np.float32).mean(axis=2), (0, 0), _LOCAL)
         for each in (ratio, both)
     )
-    moved = (of > 1e-3) & (np.abs(around) > _DEVIATES * np.maximum(of, 1e-3))
-    return np.where(both, np.asarray(~moved, np.float32)[..., None], np.float32(1.0))
+    return np.asarray((of > 1e-3) & (np.abs(around) > _DEVIATES * np.maximum(of, 1e-3)))
 
 
 def aligned_bracket(photos: Sequence[Photo]) -> Bracket | None:
@@ -286,9 +308,10 @@ def aligned_bracket(photos: Sequence[Photo]) -> Bracket | None:
     views = [_itself(photos[0])]
     for photo in photos[1:]:
         homography = alignment(photos[0], photo)
-        if homography is None or way_of_camera(homography, photos[0], photo) > _NEAR:
+        if homography is None or (way := way_of_camera(homography, photos[0], photo)) > _NEAR:
             return None
-        views.append(_resampled(photo, homography, photos[0].pixels.shape[:2]))
+        view = _resampled(photo, homography, photos[0].pixels.shape[:2])
+        views.append(replace(view, way=way))
     order = sorted(range(len(views)), key=lambda number: -float(np.median(views[number].grey)))
     factors, curve = {order[0]: 1.0}, None
     for brighter, darker in zip(order, order[1:], strict=False):
@@ -343,10 +366,28 @@ def alignment(first: Photo, second: Photo) -> Matrix | None:
     best = max((_refined(fixed, moving, places, start) for start in starts), key=lambda r: r[1])
     homography, agreeing = best
     if agreeing < max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
-        return None
+        return _turned(first, second)
     units = np.diag([columns, columns, 1.0])
     centre = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
     return np.asarray(np.linalg.inv(centre @ units) @ homography @ centre @ units)
+
+
+def _turned(first: Photo, second: Photo) -> Matrix | None:
+    """alignment() of a camera that was only turned, by the whole picture's best shift.
+
+    For smooth materials, of which the darker picture shows little but noise in most tiles.
+    """
+    columns = min(_SMOOTH, first.pixels.shape[1], second.pixels.shape[1])
+    fixed, moving = (_contrast(each, columns)[0] for each in (first, second))
+    rows = min(len(fixed), len(moving))
+    shifts, correlation = _shifts(fixed[None, :rows], moving[None, :rows])
+    if correlation[0] < _LEAST_WHOLE:
+        return None
+    across, down = shifts[0] / columns
+    focal = 0.5 / math.tan(math.radians(first.fov) / 2.0)
+    lens = np.array([[focal, 0.0, 0.5], [0.0, focal, rows / columns / 2.0], [0.0, 0.0, 1.0]])
+    turn, _ = cv2.Rodrigues(np.array([-down, across, 0.0]) / focal)
+    return np.asarray(lens @ turn @ np.linalg.inv(lens))
 
 
 def _refined(

@@ -149,6 +149,43 @@ def test_moved_parts_are_left_out():
     assert np.quantile(error(merged, light), 0.99) < 0.25
 
 
+def glints(shift: int, peak: float) -> np.ndarray:
+    """scene() without a highlight but for glints, all moved by so many pixels."""
+    light = scene(peak=0.0)
+    places = np.random.default_rng(4).integers(40, HEIGHT - 40, (150, 2))
+    spots = np.zeros((HEIGHT, WIDTH), np.float32)
+    spots[places[:, 0], places[:, 1] + shift] = peak
+    return light + 40.0 * cv2.GaussianBlur(spots, (0, 0), 2.5)[..., None]
+
+
+def test_glints_that_moved_keep_their_light():
+    """Longer exposures show them clipped, darker ones elsewhere: neither place may lose them."""
+    light, other = glints(0, 6.0), glints(6, 6.0)
+    bracket = aligned_bracket([taken(light), taken(other, 1 / 16, seed=2)])
+    assert bracket is not None
+    away = replace(bracket.views[1], way=6.0 / (WIDTH * 0.77))
+    merged = replace(bracket, views=(bracket.views[0], away)).merged()
+    bright = [np.maximum(each.mean(axis=2) - 1.0, 0.0).sum() for each in (merged.pixels, other)]
+    assert bright[0] == pytest.approx(bright[1], rel=0.1)
+
+
+def test_what_every_exposure_clips_is_as_bright_as_the_darkest_clips():
+    light = scene(peak=100.0)
+    merged = merge_bracket([taken(light), taken(light, 1 / 16, seed=2)])
+    assert merged.clipped.any() and merged.pixels[merged.clipped].mean() > 8.0
+
+
+def test_a_smooth_material_is_aligned_by_the_whole_picture():
+    """A dozen dots: most tiles of the darker picture show noise alone."""
+    spots, places = np.zeros((HEIGHT, WIDTH), np.float32), np.random.default_rng(3)
+    spots[places.integers(5, HEIGHT - 5, 12), places.integers(5, WIDTH - 5, 12)] = 1.0
+    dots = cv2.GaussianBlur(spots, (0, 0), 2.5)
+    even = cv2.GaussianBlur(scene(peak=0.0), (0, 0), 40)
+    light = even * np.exp(-2.0 * dots / dots.max())[..., None]
+    found = alignment(taken(light), taken(light, 1 / 16, seed=2))
+    assert found is not None and np.abs(found - np.eye(3)).max() < 0.005
+
+
 @pytest.mark.parametrize(
     "second",
     [

@@ -32,7 +32,7 @@ from matcap.capture.exemplar.mean_parameters import (
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.observation import Observation, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
-from matcap.capture.exemplar.refine import radiance_residual, refine_maps
+from matcap.capture.exemplar.refine import radiance_residual, refine_maps, refitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
     ReliefSpectrum,
@@ -178,6 +178,7 @@ def estimate_exemplar(
     observed, prediction, spectrum = refined(rectified.network_input, coarse, network, clock)
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
+        exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
         exemplar = transfer_detail(exemplar, whole, coarse, copies)
         known = known or KnownMeans()
         scale = known.scale(exemplar, prediction.metal)

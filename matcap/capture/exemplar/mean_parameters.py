@@ -5,6 +5,7 @@ prior.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -265,6 +266,37 @@ class RingTarget:
             flash=self.flash.cut(every, every),
             surface=SurfaceParameters(*(thin(part) for part in parts)),
             tints=tuple(thin(tint) if isinstance(tint, Tensor) else tint for tint in self.tints),
+        )
+
+    def shifted(self, shifts: Sequence[tuple[float, float]]) -> RingTarget:
+        """The target once per shift of its maps, (down, right) in shares of the picture.
+
+        Ring means of one sample depend on where its relief lies; those of several less so.
+        """
+        height, width = self.distance.shape
+        steps = [(round(down * height), round(right * width)) for down, right in shifts]
+
+        def repeated(plane: Tensor) -> Tensor:
+            whole = plane.shape[-2:] == (height, width)
+            return torch.cat([plane] * len(steps), -2) if whole else plane
+
+        def moved(plane: Tensor | float) -> Tensor | float:
+            if isinstance(plane, float) or plane.shape[-2:] != (height, width):
+                return plane
+            return torch.cat([plane.roll(step, (-2, -1)) for step in steps], -2)
+
+        names = ("linear", "measured", "counts", "distance")
+        planes: dict[str, Any] = {name: repeated(getattr(self, name)) for name in names}
+        light = self.flash
+        parts: Any = (moved(getattr(self.surface, each.name)) for each in fields(SurfaceParameters))
+        normal: Any = moved(self.normal)
+        return replace(
+            self,
+            **planes,
+            flash=FlashLight(*(repeated(a) for a in (light.to_light, light.to_view, light.power))),
+            normal=normal,
+            surface=SurfaceParameters(*parts),
+            tints=tuple(moved(tint) for tint in self.tints),
         )
 
     def surfaces(self, theta: Tensor) -> list[Reflectance]:

@@ -8,7 +8,8 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
 4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
    (mean_parameters.py);
 5. refine_albedo: residual log radiance is assigned to the albedo of every texel, of metal to F0;
-6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's.
+6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's;
+7. refitted_to_highlight, after inpainting: F0 and roughness once more, with the finished relief.
 
 Glints (3): where the specular fraction s of radiance is high, contrast is due to slopes, as albedo
 is diluted, and F0 and roughness are constant. So the photographed energy E_b of log radiance in
@@ -42,7 +43,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import SurfaceParameters
+from matcap.brdf.cook_torrance import (
+    ALBEDO,
+    F0,
+    F0_LIMITS,
+    ROUGH,
+    ROUGHNESS_LIMITS,
+    SurfaceParameters,
+)
+from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
@@ -61,6 +70,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
+from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST
 
@@ -206,6 +216,43 @@ def _fitted_mean_parameters(
     start = torch.zeros_like(classes.mean_parameters)
     return fit_mean_parameters(
         target.thinned(texels), shares, start, MeanParameterPrior(start, deviation)
+    )
+
+
+@torch.no_grad()
+def refitted_to_highlight(
+    exemplar: Exemplar, observed: Observation, metal: NDArray[np.float32]
+) -> Exemplar:
+    """F0 and roughness scaled so that the finished relief, of any place, shows the highlight.
+
+    Relief under the highlight, to which they were fitted, is replaced by inpainting, and fields
+    show relief of all places: the ring means are those of the maps at four places.
+
+    Args:
+        exemplar: the inpainted maps.
+        observed: their photograph.
+        metal: (H, W) share of metal in each texel.
+    """
+    maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+    residuals = observed.light.residuals(maps)
+    target = replace(
+        RingTarget.of(observed, residuals, (bool(metal.any()),)),
+        normal=maps.normal,
+        tints=(maps.specular / maps.specular.mean(0, keepdim=True),),
+    ).thinned(FIT_TEXELS // 2)
+    target = target.shifted([(down, right) for down in (0.0, 0.5) for right in (0.0, 0.5)])
+    gloss = _METAL_DEVIATIONS if metal.mean() > 0.5 else _DIELECTRIC_DEVIATIONS
+    deviation = [*_METAL_DEVIATIONS[:3], *gloss[3:]]
+    start, whole = torch.zeros(1, 5), torch.ones_like(target.distance)[None]
+    prior = MeanParameterPrior(start, torch.tensor([deviation]))
+    (moved,), _ = fit_mean_parameters(target, whole, start, prior)
+    roughness = torch.logit(maps.roughness.clamp(*ROUGHNESS_LIMITS)) + moved[ROUGH]
+    diffuse = maps.diffuse * moved[ALBEDO].exp()[:, None, None]
+    return replace(
+        exemplar,
+        diffuse=np.asarray(diffuse.numpy().clip(0.0, 1.0), np.float32),
+        specular=(exemplar.specular * np.exp(moved[F0].numpy())).clip(*F0_LIMITS),
+        roughness=np.asarray(torch.sigmoid(roughness).numpy(), np.float32),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -14,17 +15,24 @@ from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import estimate_exemplar, map_set_of
 from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
-from matcap.capture.exemplar.observation import channel_noise, channel_weights, code_step
+from matcap.capture.exemplar.observation import (
+    Observation,
+    channel_noise,
+    channel_weights,
+    code_step,
+)
 from matcap.capture.exemplar.refine import (
     flatten,
     radiance_residual,
     refine_albedo,
+    refitted_to_highlight,
     scaled_by_glints,
     with_photographed_mean,
 )
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, slope_spectrum
 from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.settings import CaptureClock
+from matcap.example.exemplar import Exemplar
 from matcap.files.color import srgb_decode
 from matcap.flash.light import render_flash
 from matcap.flash.rectify import plane_of
@@ -403,3 +411,18 @@ def test_twice_the_noise_changes_the_maps_by_no_more_than_itself() -> None:
     assert apart(once.specular.log(), twice.specular.log()) < 0.25
     assert apart(once.roughness, twice.roughness) < 0.25
     assert apart(once.normal, twice.normal) < 0.5
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.4])
+def test_gloss_is_fitted_to_the_highlight_with_the_finished_relief(factor: float) -> None:
+    shot = photographed(0.05, 0.1, width=384, height=288)
+    true = replace(shot.maps, roughness=torch.full_like(shot.maps.roughness, 0.3))
+    linear = render_flash(true, shot.uniform.setup, shot.points)
+    plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool), headroom=math.inf)
+    observed = Observation.of(plane, replace(shot.uniform, roughness=0.3))
+    wrong = replace(true, roughness=true.roughness * factor, height=true.height.roll(50, 1))
+    exemplar = Exemplar.certain(wrong.stacked().numpy(), wrong.texel_size)
+    fitted = refitted_to_highlight(exemplar, observed, np.zeros(linear.shape[1:], np.float32))
+    assert float(fitted.roughness.mean()) == pytest.approx(0.3, rel=0.1)
+    assert float(fitted.specular.mean()) == pytest.approx(0.04, rel=0.15)
+    assert np.allclose(fitted.diffuse, exemplar.diffuse, rtol=0.1)
