@@ -65,7 +65,7 @@ def batch(
     from matcap.batch.run import prepare, work_off
     from matcap.batch.samples import settings_of
     from matcap.batch.work import Policy
-    from matcap.capture.settings import slowness, within_time
+    from matcap.capture.time_limit import slowness, within_time
     from matcap.cli.display import BatchDisplay
 
     settings = settings_of(source, given)

@@ -11,13 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import (
-    CaptureSettings,
-    OutputSettings,
-    check_photographs,
-    slowness,
-    within_time,
-)
+from matcap.capture.settings import CaptureSettings, OutputSettings, check_photographs
+from matcap.capture.time_limit import slowness, within_time
 from matcap.cli.options import (
     NOTHING,
     SEVERAL,
