@@ -140,7 +140,7 @@ _BIAS = 1.05  # factor on the decoder's distance: of two alike the exemplar is k
 def choose(
     by_example: MapSet, by_decoder: MapSet, target: PhotographTarget, plane: Plane
 ) -> GeneratorChoice:
-    """The generator whose field is nearer to the photograph.
+    """The generator whose field is nearer to the photograph, the decoder only with as many texels.
 
     Args:
         by_example: maps of a field as large as the photograph, lying.
@@ -156,7 +156,10 @@ def choose(
         name: _distance(_pieces(maps.stacked(), by_decoder.size[0], size), compared)
         for name, maps in fields.items()
     }
-    nearer = _BIAS * distances["decoder"] < distances["example"]
+    # With fewer texels the decoder would lose detail, which windows at its resolution do not show.
+    nearer = (
+        by_example.size == by_decoder.size and _BIAS * distances["decoder"] < distances["example"]
+    )
     return GeneratorChoice("decoder" if nearer else "example", distances, by_decoder)
 
 

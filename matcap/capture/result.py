@@ -63,8 +63,8 @@ class GeneratorChoice:
         """Which makes the maps, and both distances."""
         one, other = (self.distances[name] for name in ("example", "decoder"))
         return (
-            f"Maps are by default made by the {self.generator}: its texture is the nearer one "
-            f"(by the example {one:.2f} from the photograph's, by the decoder {other:.2f})."
+            f"Maps are by default made by the {self.generator}: the texture of the example is "
+            f"{one:.2f} from the photograph's, that of the decoder {other:.2f}."
         )
 
     def document(self) -> dict[str, Any]:
