@@ -359,16 +359,15 @@ def _sources(
 ) -> tuple[BlockPlaces, TexelMask]:
     """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
-    An overlap is divided where both blocks' features (H, W, C) differ least, also with blocks that
-    keep their maps.
+    An overlap is divided where both blocks' features (H, W, C) differ least.
     """
     source, copied = np.indices(hidden.shape), np.zeros(hidden.shape, np.bool_)
-    before = {place: place for place in _grid(hidden.shape) if place not in chosen}
+    before: dict[tuple[int, int], tuple[int, int]] = {}
     for place, donor in chosen.items():
         here, own = _block(place), np.ones((_BLOCK, _BLOCK), np.bool_)
         for other, others in before.items():
             own &= _kept_of(place, donor, other, others, features)
-        own &= hidden[here]
+        own = hidden[here] & (own | ~copied[here])
         moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
         texel = np.indices(hidden.shape)[:, *here]
         source[:, *here] = np.where(own, texel + moved, source[:, *here])
