@@ -28,7 +28,7 @@ from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
-from matcap.capture.exemplar.refine import refine_maps
+from matcap.capture.exemplar.refine import refine_maps, refitted_to_highlight
 from matcap.capture.rectified import Rectified, fit_photograph
 from matcap.field.material import Material
 from matcap.flash.highlight import limit_sparkles
@@ -63,6 +63,7 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     predicted = refine_maps(observed, predicted, spectrum)  # until they re-render to it
 
     exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
+    exemplar = refitted_to_highlight(exemplar, observed, predicted.metal)
     exemplar = transfer_detail(exemplar, rectified.whole, coarse, copies)
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
     exemplar = scaled(exemplar, scale).rounded()

@@ -134,7 +134,9 @@ def _at_resolution(rectified: Rectified, drawing: Drawing) -> Plane:
 _BANK = FilterBankConfig(sizes=(3, 7), filters=24, seed=7)
 _COMPARED = 24  # windows
 _AT_ONCE = 4  # windows
-_BIAS = 1.05  # factor on the decoder's distance: of two alike the exemplar is kept
+# Factor on the decoder's distance. On four of eleven materials whose truth is known it came out
+# nearer, by up to a fifth, though it was farther (docs/notes/prior.md): the exemplar is kept then.
+_BIAS = 1.3
 
 
 def choose(
