@@ -154,7 +154,7 @@ class Observation:
         own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
         mirrors = ~(plane.margins.padded(own) & plane.kept)
         inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
-        bright = lit(torch.from_numpy(coarse.tone.developed(plane.linear.numpy())))
+        bright = lit(plane.linear)
         shown = (plane.measured | mirrors) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=plane.measured & bright)
         light = PhotographLight.of(coarse, points)
@@ -211,12 +211,12 @@ def seen_share(measured: Tensor) -> NDArray[np.float32]:
     return np.asarray(np.minimum(share, np.clip(2.0 * around - 1.0, 0.0, 1.0)), np.float32)
 
 
-def lit(developed: Tensor) -> Tensor:
-    """(H, W) bool: where the local mean of a picture (3, H, W) as in its file is above _UNLIT.
+def lit(linear: Tensor) -> Tensor:
+    """(H, W) bool: where the local mean of radiance (3, H, W) is above _UNLIT.
 
-    It is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
+    Radiance is limited to 2 _UNLIT first, so that bright neighbours do not light a dark texel.
     """
-    grey = developed.mean(0).clamp_max(2.0 * _UNLIT).numpy()
+    grey = linear.mean(0).clamp_max(2.0 * _UNLIT).numpy()
     return torch.from_numpy(smoothed(grey, AROUND) > _UNLIT)
 
 
