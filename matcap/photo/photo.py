@@ -21,13 +21,10 @@ from matcap.files.settings import bounded
 # g(x) = x^c / (1 - w + w x^c),    g(0) = 0,  g(1) = 1,
 #
 # with x light over the clip level: contrast by the exponent c, a shoulder by w. It is one curve for
-# all channels. c is fitted with the photograph's light (flash/coarse); w hardly shows in one
-# picture, so it is held. Light is given in units in which the picture's median is as in the file,
-# so that exposures of pictures compare; white is then brighter than 1.
+# all channels. c is fitted with the photograph's light (flash/coarse); w hardly shows in one and
+# is held at a phone's.
 
-# w of a developed picture: with the darks as in the file, white is 1 / (1 - w) times as bright as
-# it looks. Phones have 1.6 to 5.5 (docs/notes/gloss.md); this is their middle.
-SHOULDER = 0.66
+SHOULDER = 0.27  # w of a developed picture; fitted as well, it hardly moves (docs/notes/gloss.md)
 
 
 @dataclass(frozen=True)
@@ -42,9 +39,9 @@ class Development:
     """w, held."""
 
 
-# Base and HDR gain map together: the shoulder is undone. A wider prior takes a part of every
-# highlight for contrast: log exponents of 0.05 to 0.10 where it is 0 (docs/notes/gloss.md).
-WITH_GAIN_MAP = Development(0.01, 0.02, 0.0)
+# Base and HDR gain map together: the shoulder is undone, and dark tones are as in the base, which
+# has nearly no gain there.
+WITH_GAIN_MAP = Development(0.04, 0.05, 0.0)
 
 
 @dataclass(frozen=True)
@@ -55,14 +52,6 @@ class ToneCurve:
     """Exponent c, above 0."""
     shoulder: float = 0.0
     """Weight w of the shoulder, in [0, 1)."""
-    white: float = 1.0
-    """Light that the file shows as white."""
-
-    def keeping(self, picture: NDArray[Any]) -> ToneCurve:
-        """The curve with white such that the median of a picture, above 0, is as light."""
-        median = np.median(picture)
-        light = float(self.linear(np.asarray(median)))
-        return replace(self, white=self.white * float(median) / light) if light > 0.0 else self
 
     @staticmethod
     def of_report(report: dict[str, Any]) -> ToneCurve:
@@ -72,7 +61,6 @@ class ToneCurve:
             return ToneCurve(
                 bounded(stated["exponent"], "exponent", 0.1, 10.0),
                 bounded(stated["shoulder"], "shoulder", 0.0, 0.99),
-                bounded(stated.get("white", 1.0), "white", 1e-3, 1e3),
             )
         except (KeyError, TypeError, ValueError):
             return ToneCurve()
@@ -81,17 +69,18 @@ class ToneCurve:
         """Light at least 0 through the curve, any shape; beyond the clip level it stays beyond."""
         if self == ToneCurve():
             return light
-        power = np.power(light / light.dtype.type(self.white), self.exponent)
+        power = np.power(light, self.exponent)
         return np.asarray(power / (1.0 + self.shoulder * (power - 1.0)), light.dtype)
 
     def linear(self, picture: NDArray[Any]) -> NDArray[Any]:
         """The inverse of developed() up to white; beyond it, below a shoulder, ratios are kept."""
         if self == ToneCurve():
             return picture
-        within = picture if self.shoulder == 0.0 else np.minimum(picture, 1.0)
+        if self.shoulder == 0.0:
+            return np.asarray(np.power(picture, 1.0 / self.exponent), picture.dtype)
+        within = np.minimum(picture, 1.0)
         power = within * (1.0 - self.shoulder) / (1.0 - self.shoulder * within)
-        beyond = 1.0 if self.shoulder == 0.0 else np.maximum(picture, 1.0)
-        light = self.white * np.power(power, 1.0 / self.exponent) * beyond
+        light = np.power(power, 1.0 / self.exponent) * np.maximum(picture, 1.0)
         return np.asarray(light, picture.dtype)
 
     def slope_by_shoulder(self, picture: NDArray[Any]) -> NDArray[Any]:
@@ -273,8 +262,7 @@ class Photo:
         """(H, W, 3) bool, channels whose values are lower bounds: of a clipped pixel those at white
         or above.
         """
-        white = 1.0 if self.tone is None else self.tone.white
-        return self.clipped[..., None] & (self.pixels > FULL * min(self.headroom, white))
+        return self.clipped[..., None] & (self.pixels > FULL * min(self.headroom, 1.0))
 
     @property
     def tone_mapped(self) -> bool:

@@ -3,7 +3,6 @@
 import io
 import struct
 import zlib
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -38,7 +37,7 @@ from matcap.files.pixels import png_chunk
 from matcap.files.stated_color import StatedColor, lineariser_of, read_profile, stated_color
 from matcap.photo.dng import dng_color, temperature
 from matcap.photo.load import load_photo
-from matcap.photo.photo import SHOULDER, Photo, ToneCurve
+from matcap.photo.photo import SHOULDER, ToneCurve
 
 # Transfer functions, profiles and tone curves, against closed forms and littleCMS.
 
@@ -200,22 +199,6 @@ def test_coded_pictures_have_a_curve_and_floating_point_ones_none(tmp_path, name
     assert not undone.tone_mapped
     assert np.array_equal(undone.pixels, photo.pixels) == (not mapped)
     assert np.array_equal(undone.clipped, photo.clipped)
-
-
-def test_a_tone_curve_keeps_the_median_and_is_inverted_in_its_own_units():
-    """Exposures of pictures compare, whatever the shoulder; white is brighter than 1 then."""
-    picture = np.linspace(0.05, 1.0, 101) ** 2
-    curve = ToneCurve(1.2, SHOULDER).keeping(picture)
-    light = curve.linear(picture)
-    assert np.median(light) == pytest.approx(np.median(picture))
-    assert light.max() == pytest.approx(curve.white) and curve.white > 1.3
-    assert curve.developed(light) == pytest.approx(picture, rel=1e-9)
-    photo = Photo(
-        np.full((4, 6, 3), 1.0, np.float32), np.ones((4, 6), np.bool_), 60.0, "given", False, "a",
-        (6, 4), tone=curve, headroom=curve.white,
-    )  # fmt: skip
-    assert not photo.full.any()
-    assert replace(photo, pixels=photo.pixels * curve.white).full.all()
 
 
 @pytest.mark.parametrize(

@@ -231,22 +231,13 @@ def _fitted(
         without = last.with_tilt(*prior.tilt_alone)
         tilt_x, tilt_y = Unknowns.of(without.minimised(best, _FEW)[1]).tilt.tolist()
         picture_tilt = (tilt_x, tilt_y)
-    tone = ToneCurve()
-    if last.shoulder is not None:
-        curve = ToneCurve(math.exp(float(Unknowns.of(best).tone)), last.shoulder)
-        tone = curve.keeping(photo.pixels[::8, ::8].mean(axis=2))
-    diffuse, specular, roughness, setup = _uniform(
-        Unknowns.of(best), photo.fov, conductor=prior.conductor
-    )
+    exponent = math.exp(float(Unknowns.of(best).tone))
     fit = CoarseFit(
-        diffuse,
-        specular,
-        roughness,
-        setup.dimmed(1.0 / tone.white),
+        *_uniform(Unknowns.of(best), photo.fov, conductor=prior.conductor),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         conductor=prior.conductor,
         picture_tilt=picture_tilt,
-        tone=tone,
+        tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
         level_deviation=None if prior.conductor else last.level_deviation(best),
     )
     return fit, last.cost(best), last.unit
