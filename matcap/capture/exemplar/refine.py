@@ -9,7 +9,8 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
    (mean_parameters.py);
 5. refine_albedo: residual log radiance is assigned to the albedo of every texel, of metal to F0;
 6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's;
-7. refitted_to_highlight, after inpainting: F0 and roughness once more, with the finished relief.
+7. refitted_to_highlight, after inpainting, where light above white is measured: F0 and roughness
+   once more, with the finished relief.
 
 Glints (3): where the specular fraction s of radiance is high, contrast is due to slopes, as albedo
 is diluted, and F0 and roughness are constant. So the photographed energy E_b of log radiance in
@@ -226,13 +227,16 @@ def refitted_to_highlight(
     """F0 and roughness scaled so that the finished relief, of any place, shows the highlight.
 
     Relief under the highlight, to which they were fitted, is replaced by inpainting, and fields
-    show relief of all places: the ring means are those of the maps at four places.
+    show relief of all places: the ring means are those of the maps at four places. A photograph
+    that clips at white only bounds its highlight and keeps its gloss: fitted again, it was farther.
 
     Args:
         exemplar: the inpainted maps.
         observed: their photograph.
         metal: (H, W) share of metal in each texel.
     """
+    if observed.plane.encoding.limit <= 1.0:
+        return exemplar
     maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
     residuals = observed.light.residuals(maps)
     target = replace(

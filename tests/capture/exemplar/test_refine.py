@@ -426,3 +426,5 @@ def test_gloss_is_fitted_to_the_highlight_with_the_finished_relief(factor: float
     assert float(fitted.roughness.mean()) == pytest.approx(0.3, rel=0.1)
     assert float(fitted.specular.mean()) == pytest.approx(0.04, rel=0.15)
     assert np.allclose(fitted.diffuse, exemplar.diffuse, rtol=0.1)
+    clipping = Observation.of(plane_of(linear, plane.valid), shot.uniform)
+    assert refitted_to_highlight(exemplar, clipping, np.zeros_like(wrong.height[0])) is exemplar
