@@ -81,9 +81,10 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
             "give a .matcap file written by matcap capture",
         )
     if about["version"] not in VERSIONS:
+        known = " and ".join(map(str, VERSIONS))
         raise MatcapError.at(
             path,
-            f"this material is of version {about['version']}; this matcap reads {VERSIONS[-1]}",
+            f"this material is of version {about['version']}; this matcap reads {known}",
             "capture the photograph again, or install the matcap that wrote it",
         )
     return _checked(about)

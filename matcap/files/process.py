@@ -34,7 +34,8 @@ def raise_on_signals() -> Callable[[], bool]:
 
     def raised(number: int, frame: FrameType | None) -> None:
         came.append(number)
-        if _importing("torch"):  # whose C++ aborts at an exception: again when it is done
+        # Their C++ aborts at an exception: again when they are imported.
+        if _importing("torch") or _importing("OpenImageIO"):
             again = threading.Timer(0.05, os.kill, (os.getpid(), number))
             again.daemon = True
             again.start()

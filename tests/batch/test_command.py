@@ -19,7 +19,7 @@ from matcap.batch.work import (
     worker_bytes,
     write_record,
 )
-from matcap.capture.settings import CaptureSettings
+from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.cli.display import BatchDisplay
 from matcap.cli.main import main
 from matcap.files.names import Progress
@@ -50,7 +50,8 @@ def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, t
     for name, detail, seconds in (("a", 512, 20.0), ("b", 512, 40.0), ("c", 256, 1.0)):
         (out / name).mkdir(parents=True)
         (out / name / "maps.exr").write_bytes(bytes(1000))
-        about = {"identity": name, "steps": 0, "detail": detail, "seconds": seconds}
+        steps = PRESETS["standard"].decoder_steps
+        about = {"identity": name, "steps": steps, "detail": detail, "seconds": seconds}
         write_record(out / name, about)
     asked = ["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "--detail", "512"]
     assert main(asked) == 0

@@ -165,7 +165,7 @@ def test_damaged_materials_are_refused_with_the_file_name(tmp_path):
     for version in (4, 99):
         other = metadata["matcap"].replace('"version": 5', f'"version": {version}')
         save_file(tensors, bad, metadata={"matcap": other})
-        with pytest.raises(MatcapError, match=f"version {version}; this matcap reads 5; capture"):
+        with pytest.raises(MatcapError, match=f"of version {version}; this matcap reads 5 and 6"):
             Material.load(bad)
 
 

@@ -224,7 +224,7 @@ def _captured(name, detail):
 def test_a_pair_keeps_the_highlight_of_glossy_tiles():
     before, after = _captured("tile", 256).measurements.highlights
     assert before is not None and after is not None
-    assert 0.9 < after.contrast / before.contrast < 1.2  # 0.7 with relief as solved
+    assert 0.9 < after.contrast / before.contrast < 1.25  # 0.7 with relief as solved
 
 
 def test_nothing_in_common_is_refused(held, foreign):
