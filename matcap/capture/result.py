@@ -53,7 +53,7 @@ class GeneratorChoice:
     """The generator that makes a material's maps, of two, by measures (both_generators.py)."""
 
     generator: Generator
-    """The nearer one."""
+    """The decoder where its distance is less by a fifth, else the exemplar."""
     distances: Mapping[Generator, float]
     """Texture distance to the photograph, by generator: the lesser is nearer."""
     decoded: MapSet
@@ -63,8 +63,9 @@ class GeneratorChoice:
         """Which makes the maps, and both distances."""
         one, other = (self.distances[name] for name in ("example", "decoder"))
         return (
-            f"Maps are by default made by the {self.generator}: the texture of the example is "
-            f"{one:.2f} from the photograph's, that of the decoder {other:.2f}."
+            f"Maps are by default made by the {self.generator}: texture distances to the "
+            f"photograph are {one:.2f} by example and {other:.2f} by the decoder, which must be "
+            "less by a fifth."
         )
 
     def document(self) -> dict[str, Any]:

@@ -176,11 +176,11 @@ def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]
 
 def _rated(name: str, quality: Inspection, shared: Sequence[Finding] = ()) -> list[str]:
     """Lines of an inspection: its rating, and a line a finding but those of all photographs."""
-    said = {one.line() for one in shared}
+    shared_lines = {one.line() for one in shared}
     findings = (
         f"{_MARKS[one.rating.value]} {one.name:<13} {one.line()}"
         for one in quality.findings
-        if one.line() not in said
+        if one.line() not in shared_lines
     )
     return [f"{name}: {quality.rating.value}", *(f"  {finding}" for finding in findings)]
 

@@ -205,11 +205,6 @@ class Plane:
         """(3, H, W) texture colour of about unit variance, shading included."""
         return self.encoding(self.linear[None])[0]
 
-    def brightened(self, gain: float) -> Plane:
-        """The picture times `gain`; the encoding is not changed."""
-        noise = None if self.noise is None else self.noise * gain
-        return replace(self, linear=self.linear * gain, noise=noise)
-
     def shrunk(self, columns: int) -> Plane:
         """Area average on a coarser grid, `columns` texels across."""
         width, height = self.size
