@@ -11,8 +11,6 @@ from matcap.photo.load import _photo
 
 def photo_from_array(pixels, *, long_side=None, fov=None, radiometric=False, name="array"):
     """Linear light (H, W, 3), 1 at the clip level, as if it had been read from a file."""
-    height, width = pixels.shape[:2]
-    color = StatedColor(space=LINEAR)
-    coded = Coded(lambda a, b: pixels[a:b], width, height, pixels.dtype, color=color)
-    photo = _photo(decode(coded, long_side, name, 1), Exif(), fov, name, name)
+    coded = Coded(pixels, StatedColor(space=LINEAR))
+    photo = _photo(decode(coded, long_side), Exif(), fov, name, name)
     return replace(photo, radiometric=radiometric)

@@ -134,9 +134,9 @@ def largest_worker(settings: BatchSettings, photos: Sequence[Path]) -> int:
 
 def photo_pixels(path: Path) -> tuple[int, bool]:
     """Number of pixels by a file's header, and whether it is RAW; typical values if unreadable."""
+    from matcap.files.containers import MOST_PIXELS
     from matcap.files.process import quiet_decoders
     from matcap.photo.load import file_kind
-    from matcap.photo.photo import MOST_PIXELS
 
     try:
         with quiet_decoders():

@@ -1,4 +1,4 @@
-"""Parts of HEIC, AVIF, JPEG and TIFF files that image decoders do not return.
+"""Kinds of picture files by their first bytes, refusals, and what image decoders do not return.
 
 Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, and the camera's
 intrinsic matrix, by the boxes meta, pitm, iprp, ipco and ipma; of JPEG the segments and coding
@@ -10,8 +10,9 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from enum import IntEnum
+from enum import Enum, IntEnum
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,10 +20,157 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.errors import MatcapError
+
 if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
 
+APPLE_GAIN_MAP = "urn:com:apple:photo:2020:aux:hdrgainmap"  # a HEIC's auxiliary picture
 _MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
+
+
+class FileKind(Enum):
+    """Kinds of picture files."""
+
+    RAW = "RAW"
+    DNG = "DNG"
+    JPEG = "JPEG"
+    PNG = "PNG"
+    TIFF = "TIFF"
+    HEIC = "HEIC"
+    AVIF = "AVIF"
+    WEBP = "WebP"
+    EXR = "EXR"
+    RADIANCE = "Radiance HDR"
+    OTHER = "picture"
+
+
+# By first bytes; a TIFF may also be a DNG or another RAW.
+_MAGIC = {
+    b"\xff\xd8\xff": FileKind.JPEG,
+    b"\x89PNG\r\n\x1a\n": FileKind.PNG,
+    b"\x76\x2f\x31\x01": FileKind.EXR,
+    b"#?": FileKind.RADIANCE,
+    **dict.fromkeys((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), FileKind.TIFF),
+    **dict.fromkeys(
+        (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM"), FileKind.RAW
+    ),
+}
+# By the brands of an ISO base media file; AVIF first, as its files may have HEIC's generic brands.
+_BRANDS = {
+    **dict.fromkeys((b"avif", b"avis"), FileKind.AVIF),
+    **dict.fromkeys(
+        (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"), FileKind.HEIC
+    ),
+    b"crx ": FileKind.RAW,
+}
+_HEAD = 64  # first bytes that are read
+
+
+def read_head(path: Path) -> bytes:
+    """The first bytes of a file.
+
+    Raises:
+        MatcapError: the file is missing, not a file, empty, or unreadable.
+    """
+    if path.is_dir():
+        raise MatcapError.at(path, "this is a directory", "give one picture inside it")
+    try:
+        if path.exists() and not path.is_file():
+            raise MatcapError.at(path, "this is not a file", "give a picture")
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except FileNotFoundError as error:
+        raise MatcapError.at(
+            path, "the file is missing (there is no such file)", "check the name"
+        ) from error
+    except PermissionError as error:
+        raise MatcapError.at(path, "the file may not be read", "change its permissions") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a null character
+        raise MatcapError.at(
+            path,
+            f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
+            "check the disk and the name",
+        ) from error
+    if not head:
+        raise MatcapError.at(path, "the file is empty", "copy it again")
+    return head
+
+
+def kind_of(head: bytes) -> FileKind:
+    """The kind of a file that begins with these bytes; of RAW files based on TIFF, TIFF."""
+    if head[4:8] == b"ftyp":
+        brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
+        return next((kind for brand, kind in _BRANDS.items() if brand in brands), FileKind.OTHER)
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return FileKind.WEBP
+    return next((kind for magic, kind in _MAGIC.items() if head.startswith(magic)), FileKind.OTHER)
+
+
+# Refusals.
+
+MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
+# Words in decoders' errors for unsupported, rather than damaged, files.
+_UNSUPPORTED = (
+    *("unsupported", "not supported", "not implemented", "cannot handle", "no decoding"),
+    "not configured",  # libtiff's, of a compression that it was built without
+)
+
+
+def check_pixels(path: Path, width: int, height: int) -> None:
+    """Raise MatcapError for a picture of more than MOST_PIXELS."""
+    if width * height > MOST_PIXELS:
+        raise MatcapError.at(
+            path,
+            f"the picture is {width} x {height} pixels, more than can be read",
+            f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
+        )
+
+
+@contextmanager
+def decoding(path: Path, form: str) -> Iterator[None]:
+    """Context that converts a decoder's exceptions on damaged files to MatcapError.
+
+    For calls of other libraries only, which may raise anything (struct.error, AssertionError, ...).
+    """
+    try:
+        yield
+    except MatcapError:
+        raise
+    except MemoryError as error:
+        raise MatcapError.at(
+            path,
+            f"there is not enough memory to read this {form}",
+            "free some memory or reduce the picture",
+        ) from error
+    except Exception as error:
+        if any(word in str(error).lower() for word in _UNSUPPORTED):
+            raise unsupported(path, f"how this {form} file is coded") from error
+        raise unreadable(path, form) from error
+
+
+def unreadable(path: Path, form: str) -> MatcapError:
+    """The error for a truncated or damaged file."""
+    return MatcapError.at(
+        path, f"the {form} file is truncated or damaged", "copy, save or download it again"
+    )
+
+
+def unsupported(path: Path, what: str) -> MatcapError:
+    """The error for a file whose coding is not supported."""
+    return MatcapError.at(
+        path, f"{what} is not supported", "export it as a JPEG, PNG or TIFF of 8 or 16 bits in RGB"
+    )
+
+
+def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
+    """The error for a format whose reader is not installed."""
+    return MatcapError.at(
+        path, f"{form} needs a package that is not installed", f'run: pip install "matcap[{extra}]"'
+    )
+
+
+# Properties of the primary picture of a HEIC or AVIF.
 
 
 @dataclass(frozen=True)
@@ -286,14 +434,13 @@ class Tag(IntEnum):
 
 # TIFF 6.0, and the supplements 1 and 2: PhotometricInterpretation.
 WHITE_IS_ZERO, GREYS, _MASK = 0, (0, 1), 4
-NO_RGB = {5: "CMYK", 8: "CIELAB", 9: "ICCLAB"}
+_NO_RGB = {5: "CMYK", 8: "CIELAB", 9: "ICCLAB"}
 _REDUCED, _IS_MASK = 1, 4  # bits of NewSubfileType
 _MOST_PAGES = 64  # read at most; a damaged file may claim any number
 _FORMATS, _FLOATING = (1, 2, 3, 4), 3  # SampleFormat: unsigned, signed, floating, undefined
 _JPEGS = (6, 7)  # compressions
 # Compressions that every OpenImageIO decodes; a failure with others means unsupported.
 _USUAL = {1, 2, 3, 4, 5, 6, 7, 8, 32771, 32773, 32946}
-_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 @dataclass(frozen=True)
@@ -303,47 +450,34 @@ class TiffPicture:
     index: int = 0
     """Index of its page."""
     compression: str = ""
-    """Name of its compression."""
-    usual: bool = True
-    """Whether every OpenImageIO decodes that."""
-    orientation: int | None = None
-    """EXIF's, of the page itself, or None."""
-    photometric: int = 2
-    """PhotometricInterpretation; 2 is RGB."""
-    samples: int = 3
-    """Number of channels."""
-    refused: str = ""
-    """What it is, if that is not supported: "a TIFF of ...", or ""."""
+    """Name of its compression, if not every OpenImageIO decodes that; else ""."""
+    white_is_zero: bool = False
+    """Whether the least code is white."""
     notes: tuple[str, ...] = ()
     """Notes on other pages."""
 
     def as_meant(self, stored: NDArray[Any], alpha: int) -> NDArray[Any]:
-        """Rows (n, W, C) as OpenImageIO reads them, with stored white as the largest value.
+        """Values (H, W, C) as OpenImageIO reads them, with stored white as the largest value.
 
         Where WhiteIsZero, OpenImageIO inverts all channels of up to 8 bits, and none of others.
 
         Args:
             alpha: index of the channel of alpha, or negative.
         """
-        if self.photometric != WHITE_IS_ZERO:
+        if not self.white_is_zero:
             return stored
         eight = stored.dtype == np.uint8
         wrong = [c for c in range(stored.shape[-1]) if (c == alpha) == eight]
-        meant = stored.copy()
         largest = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
-        meant[..., wrong] = stored.dtype.type(largest) - meant[..., wrong]
-        return meant
-
-
-def is_tiff(head: bytes) -> bool:
-    """Whether a file that begins with these bytes is a TIFF."""
-    return head.startswith(_MAGIC)
+        stored[..., wrong] = stored.dtype.type(largest) - stored[..., wrong]
+        return stored
 
 
 def meant_picture(path: Path) -> TiffPicture:
     """The largest page that is neither a thumbnail nor a mask, the first of equals.
 
     Raises:
+        MatcapError: it is of a kind that is not supported.
         Exception: of any kind where the file is damaged.
     """
     import tifffile
@@ -359,29 +493,27 @@ def meant_picture(path: Path) -> TiffPicture:
         chosen = max(whole or range(len(pages)), key=lambda index: (sizes[index], -index))
         page = pages[chosen]
         inside = [sub for each in pages for sub in islice(each.pages or (), _MOST_PAGES)]
-        larger = [sub for sub in inside if sub.imagewidth * sub.imagelength > sizes[chosen]]
         photometric, code = int(page.photometric), int(page.compression)
-        bits, form = int(page.bitspersample), int(page.sampleformat)
-        equal = sum(sizes[index] == sizes[chosen] for index in whole)
-        refused = ""
+        bits, form, bands = (
+            int(one) for one in (page.bitspersample, page.sampleformat, page.samplesperpixel)
+        )
         if form not in _FORMATS or (form == _FLOATING and bits not in (16, 32, 64)):
-            refused = f"a TIFF of {bits} bits in sample format {form}"
-        elif larger:
-            refused = "a TIFF whose picture is in a sub-directory behind a smaller one"
-        elif photometric in NO_RGB:
-            refused = f"a TIFF of {NO_RGB[photometric]} colours"
+            raise unsupported(path, f"a TIFF of {bits} bits in sample format {form}")
+        if any(sub.imagewidth * sub.imagelength > sizes[chosen] for sub in inside):
+            raise unsupported(
+                path, "a TIFF whose picture is in a sub-directory behind a smaller one"
+            )
+        if photometric in _NO_RGB:
+            raise unsupported(path, f"a TIFF of {_NO_RGB[photometric]} colours")
+        if photometric in GREYS and bands > 4:
+            raise unsupported(
+                path, f"a TIFF of {bands} bands that are not named red, green and blue"
+            )
+        usual = code in _USUAL and not (code in _JPEGS and bits != 8)
+        equal = sum(sizes[index] == sizes[chosen] for index in whole)
         return TiffPicture(
             chosen,
-            str(getattr(page.compression, "name", code)).upper(),
-            code in _USUAL and not (code in _JPEGS and bits != 8),
-            _orientation(page),
-            photometric,
-            int(page.samplesperpixel),
-            refused,
+            "" if usual else str(getattr(page.compression, "name", code)).upper(),
+            photometric == WHITE_IS_ZERO,
             (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
         )
-
-
-def _orientation(page: Any) -> int | None:  # noqa: ANN401
-    tag = page.tags.get(Tag.Orientation)
-    return int(tag.value) if tag is not None and tag.value in range(1, 9) else None

@@ -1,4 +1,4 @@
-"""Reads the stored values of images and masks, and writes pictures: PNG, or EXR by suffix."""
+"""Reads the stored values of pictures and masks, and writes pictures: PNG, or EXR by suffix."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import tempfile
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,24 +17,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import LINEAR, LUMINANCE, largest_code, linear, rec709_from, srgb_picture
+from matcap.files.color import (
+    LINEAR,
+    LUMINANCE,
+    ColorSpace,
+    largest_code,
+    linear,
+    rec709_from,
+    srgb_picture,
+)
 from matcap.files.containers import (
-    NO_RGB,
+    APPLE_GAIN_MAP,
+    FileKind,
     Tag,
     TiffPicture,
-    is_tiff,
+    check_pixels,
+    decoding,
+    kind_of,
     loaded_jpeg,
     meant_picture,
+    missing_extra,
+    read_head,
+    unreadable,
+    unsupported,
     unsupported_jpeg,
 )
-from matcap.files.exr import (
-    MAGIC,
-    forget_error,
-    meant_layer,
-    radiance_header,
-    stated_primaries,
-    write_exr,
-)
+from matcap.files.exr import forget_error, meant_layer, radiance_header, stated_primaries, write_exr
 from matcap.files.names import check_suffix, note
 from matcap.files.output import Output
 from matcap.files.process import quiet_decoders
@@ -89,28 +98,29 @@ def swap_red_blue(whole: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(cv2.cvtColor(whole, conversion))
 
 
-# Reads the stored values of images: EXR, TIFF, PNG, JPEG, TGA, BMP, WebP, Radiance HDR.
+# The reader of picture files, for photographs as for maps: JPEG, WebP and AVIF by Pillow, HEIC by
+# pillow-heif, all others by OpenImageIO.
 #
-# Values are not converted, and alpha is not premultiplied. Pillow decodes JPEG, because it reports
-# truncated files; OpenImageIO decodes the rest. linear_colours() converts by the file's colour
-# space (stated_color.py). Photographs are read strip by strip in matcap/photo.
+# Values are not converted, and alpha is not premultiplied. linear_colours() converts by the file's
+# colour space (stated_color.py). Pillow's readers are called directly, because Image.open refuses
+# pictures of more than 178 megapixels, which phones take.
 
-MOST_PIXELS = 2**28  # 16384 x 16384; a header may claim any size
 _RGB = {"R": 0, "G": 1, "B": 2}
 # Integers of 32 bits are codes as well: 16 bits of them are kept.
 _READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "uint16"}
 _SIGNED = ("int8", "int16", "int", "int32")
 _LARGEST = 1e37  # values that matrices of colours keep finite
 _MOST_PARTS = 64  # of an EXR that are looked at
+_MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's that are read directly
+_STRIP = 1 << 22  # pixels that are copied at once
+# Pixels beyond which a JPEG is decoded at half size (DCT scaling), if that suffices.
+_LARGE = 100_000_000
 Scalar = TypeVar("Scalar", bound=np.generic)
-_NOT_BUILT = "not configured"  # in libtiff's error for a compression that it was built without
-# Colour spaces that the decoders do not convert.
-_NO_COLOURS = ("CMYK", "YCCK", *NO_RGB.values())
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """Stored values of an image."""
+    """Stored values of a picture."""
 
     path: Path
     """Path of the file."""
@@ -130,6 +140,14 @@ class Pixels:
     """Index of the picture in a TIFF file."""
     notes: tuple[str, ...] = ()
     """Sentences to the user on what was read of the file."""
+    orientation: int = 1
+    """EXIF's, of what is stored, by the decoder; 1 once the picture is upright."""
+    whole_size: tuple[int, int] | None = None
+    """(width, height) of the file's picture, if the decoder has reduced it."""
+    info: Mapping[str, Any] = field(default_factory=dict)
+    """Metadata that Pillow or pillow-heif returns."""
+    gain_map: NDArray[Any] | None = None
+    """(h, w) codes of a HEIC's auxiliary picture that is Apple's gain map, or None."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -158,88 +176,149 @@ class Pixels:
         return plane.astype(np.float32) / np.float32(np.iinfo(plane.dtype).max)
 
     def colours(self) -> NDArray[Any]:
-        """(H, W, 3) stored colours; grey is repeated.
+        """(H, W, 3) stored colours, a view where they stand side by side; grey is repeated.
 
         Raises:
             KeyError: a colour is missing.
         """
         places = [self.roles[role] for role in _RGB]
+        if places == [0, 1, 2]:
+            return self.stored[..., :3]
+        if len(set(places)) == 1:
+            grey = self.stored[..., places[0], None]
+            return np.broadcast_to(grey, (*grey.shape[:2], 3))
         return np.ascontiguousarray(self.stored[..., places])
 
 
 def read_pixels(path: Path, *, outside: float | None = None, wanted: Sequence[str] = ()) -> Pixels:
-    """Read an image, upright by its Exif orientation; of an EXR file the display window.
+    """Read a picture, upright by its Exif orientation, with a note if it turns; see decoded().
+
+    Raises:
+        MatcapError: as decoded().
+    """
+    pixels = decoded(path, outside=outside, wanted=wanted)
+    if pixels.orientation == 1:
+        return pixels
+    stored = np.ascontiguousarray(upright(pixels.stored, pixels.orientation))
+    says = f"Turned upright, as its Exif orientation ({pixels.orientation}) says."
+    return replace(pixels, stored=stored, orientation=1, notes=(*pixels.notes, says))
+
+
+def decoded(
+    path: Path,
+    *,
+    outside: float | None = None,
+    wanted: Sequence[str] = (),
+    long_side: int | None = None,
+) -> Pixels:
+    """Read a picture in the orientation in which it is stored; of an EXR file the display window.
 
     Args:
         outside: value of the display window beyond the data window; None refuses such files.
         wanted: words for the data that the file should hold, by which an EXR's layer is chosen.
+        long_side: pixels that suffice along the long side, for large JPEGs; None is all.
 
     Raises:
-        MatcapError: missing, not an image, truncated, too large, of an unsupported kind, with
+        MatcapError: missing, not a picture, truncated, too large, of an unsupported kind, with
             values that are not finite, or without a colour or grey channel.
     """
-    where = str(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        missing = isinstance(error, FileNotFoundError)
+    kind = kind_of(read_head(path))
+    with quiet_decoders(), decoding(path, kind.value), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
+        if kind in (FileKind.JPEG, FileKind.WEBP, FileKind.AVIF):
+            return _by_pillow(path, kind, long_side)
+        if kind is FileKind.HEIC:
+            return _from_heic(path)
+        if kind is FileKind.RADIANCE:
+            pixels = _from_radiance(path)
+        else:
+            pixels = _by_openimageio(path, kind, outside, wanted)
+    if not pixels.whole and not np.isfinite(pixels.stored).all():
         raise MatcapError.at(
-            where, "the file is missing" if missing else "the file cannot be read", "check the path"
-        ) from error
-    try:
-        with quiet_decoders():
-            if head.startswith(b"\xff\xd8\xff"):
-                decoded = _from_jpeg(path)
-            elif head.startswith(MAGIC):
-                decoded = _from_radiance(path)
-            else:
-                decoded = _decoded(path, head, outside, wanted)
-    except MemoryError as error:
-        raise MatcapError.at(
-            where, "there is not enough memory to read it", "free some memory or reduce the picture"
-        ) from error
-    if not decoded.whole and not np.isfinite(decoded.stored).all():
-        raise MatcapError.at(
-            where,
+            path,
             "has values that are not finite (NaN or infinity)",
             "replace them in a picture editor",
         )
-    return decoded
+    return pixels
 
 
-def _from_jpeg(path: Path) -> Pixels:
-    from PIL.JpegImagePlugin import JpegImageFile
-
-    if coding := unsupported_jpeg(path):
-        raise _unsupported(path, coding)
+def _by_pillow(path: Path, kind: FileKind, long_side: int | None) -> Pixels:
+    """Decode the first picture of a JPEG, WebP or AVIF."""
+    name = {FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}.get(kind, "Jpeg")
     try:
-        with warnings.catch_warnings(), path.open("rb") as file:
-            warnings.simplefilter("ignore")  # large, and harmlessly malformed tags
-            image: Any = JpegImageFile(file)
-            _check_size(path, *image.size)
-            _check_colours(path, image.mode)
+        plugin = import_module(f"PIL.{name}ImagePlugin")
+    except ImportError as error:
+        raise unsupported(path, f"{kind.value} by the Pillow that is installed") from error
+    if kind is FileKind.JPEG and (coding := unsupported_jpeg(path)):
+        raise unsupported(path, coding)
+    with path.open("rb") as file:
+        image: Any = getattr(plugin, f"{name}ImageFile")(file)
+        size = image.size
+        check_pixels(path, *size)
+        if kind is FileKind.JPEG:
+            enough = long_side is not None and 2 * long_side <= max(size)
+            if size[0] * size[1] > _LARGE and enough:
+                image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
             image, notes = loaded_jpeg(image, path)
-    except (MatcapError, MemoryError):
-        raise
-    except Exception as error:  # Pillow raises anything at all on broken bytes
-        raise _broken(path) from error
-    stored = np.asarray(image.convert("L") if image.mode == "1" else image)
-    stored = stored[..., None] if stored.ndim == 2 else stored
-    roles = dict.fromkeys(_RGB, 0) if stored.shape[2] == 1 else _RGB
-    pixels = Pixels(path, stored, roles, notes=notes)
-    return _standing(pixels, image.getexif().get(Tag.Orientation, 1))
+        else:
+            image.load()
+            several = getattr(image, "n_frames", 1) > 1
+            notes = ("The first of several pictures is read.",) if several else ()
+    if image.mode not in _MODES:
+        if kind is FileKind.JPEG:
+            raise unsupported(path, f"a JPEG of {image.mode} colours")
+        image = image.convert("RGB")
+    # By strips, as Pillow copies twice what is asked for.
+    stored = np.empty((image.height, image.width, len(image.getbands())), np.uint8)
+    step = max(1, _STRIP // image.width)
+    for top in range(0, image.height, step):
+        strip = np.asarray(image.crop((0, top, image.width, min(top + step, image.height))))
+        stored[top : top + step] = strip.reshape(*strip.shape[:2], -1)
+    orientation = image.getexif().get(Tag.Orientation, 1) if kind is FileKind.JPEG else 1
+    return Pixels(
+        path,
+        stored,
+        _roles(stored),
+        notes=notes,
+        orientation=orientation if orientation in range(2, 9) else 1,
+        whole_size=None if image.size == size else size,
+        info=dict(image.info),
+    )
+
+
+def _roles(stored: NDArray[Any]) -> Mapping[str, int]:
+    """Roles of one to four channels; the last of two or four is alpha."""
+    count = stored.shape[2]
+    colours = _RGB if count > 2 else dict.fromkeys(_RGB, 0)
+    return {**colours, "A": count - 1} if count in (2, 4) else colours
+
+
+def _from_heic(path: Path) -> Pixels:
+    """Decode a HEIC, of 8 bits, or of up to 12 that are extended to 16 by repeating them."""
+    try:
+        import pillow_heif
+    except ImportError as error:
+        raise missing_extra(path, "HEIC", "heic") from error
+    image: Any = pillow_heif.open_heif(path, convert_hdr_to_8bit=False)
+    check_pixels(path, *image.size)
+    stored, info = np.asarray(image), dict(image.info)
+    stored = stored.reshape(*stored.shape[:2], -1)
+    if stored.dtype == np.uint16:
+        stored = stored | stored >> int(info.get("bit_depth") or 10)
+    maps = info.get("aux", {}).get(APPLE_GAIN_MAP, ())
+    gain_map = np.asarray(image.get_aux_image(maps[0])) if maps else None
+    return Pixels(path, stored, _roles(stored), info=info, gain_map=gain_map)
 
 
 def _from_radiance(path: Path) -> Pixels:
     """Decode Radiance HDR by OpenImageIO, with a header reduced to what it supports."""
     try:
         header = radiance_header(path)
-        _check_size(path, header.scanlines, header.texels)
+        check_pixels(path, header.scanlines, header.texels)
         with tempfile.TemporaryDirectory() as place:
             plain = Path(place) / "plain.hdr"
             plain.write_bytes(header.plain() + path.read_bytes()[header.length :])
-            stored = _decoded(plain, MAGIC, None, ()).stored
+            stored = _by_openimageio(plain, FileKind.RADIANCE, None, ()).stored
     except (ValueError, OSError) as error:
         raise MatcapError.at(
             path, f"the Radiance file is damaged ({error})", "download it again"
@@ -249,20 +328,18 @@ def _from_radiance(path: Path) -> Pixels:
     return Pixels(path, header.upright(stored), _RGB, header.primaries)
 
 
-def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[str]) -> Pixels:
+def _by_openimageio(
+    path: Path, kind: FileKind, outside: float | None, wanted: Sequence[str]
+) -> Pixels:
     import OpenImageIO as oiio
 
-    page = _tiff_picture(path) if is_tiff(head) else TiffPicture()
+    page = meant_picture(path) if kind is FileKind.TIFF else TiffPicture()
     config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)
+    config.attribute("oiio:UnassociatedAlpha", 1)  # colours not multiplied by alpha
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        forget_error(oiio.geterror)
-        raise MatcapError.at(
-            path,
-            "this is not a readable picture",
-            "give an EXR, TIFF, PNG, JPEG, TGA, BMP or WebP file",
-        )
+        said = forget_error(oiio.geterror)  # or it is printed at exit
+        raise _not_decoded(path, kind, page, said)
     try:
         exr = source.format_name() == "openexr"
         part = page.index
@@ -270,27 +347,25 @@ def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[st
             layer, notes = meant_layer(_parts(source), wanted, str(path))
             part = layer.part
         if not source.seek_subimage(part, 0):
-            forget_error(source.geterror)
-            raise _broken(path)
+            raise _not_decoded(path, kind, page, forget_error(source.geterror))
         if not exr:
             layer, notes = meant_layer([source.spec()], wanted, str(path))
         spec = source.spec()
-        _check_size(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
-        _check_colours(path, str(spec.getattribute("tiff:ColorSpace") or ""))
+        check_pixels(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         read = _READ_AS.get(str(spec.format), "float")
         stored = source.read_image(part, 0, 0, spec.nchannels, read)
-        broken = forget_error(source.geterror)
+        said = forget_error(source.geterror)
     finally:
         source.close()
-    if stored is None or broken:
-        coding = str(spec.getattribute("compression") or "this")
-        raise _unsupported(path, f"{coding} compression") if _NOT_BUILT in broken else _broken(path)
+    if stored is None or said:
+        raise _not_decoded(path, kind, page, said)
     stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
     if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
         stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
     if exr:  # in other formats an offset is the position on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
-    pixels = Pixels(
+    orientation = 1 if exr else spec.getattribute("Orientation")
+    return Pixels(
         path,
         stored,
         layer.roles,
@@ -300,8 +375,21 @@ def _decoded(path: Path, head: bytes, outside: float | None, wanted: Sequence[st
         partial,
         page.index,
         page.notes + notes,
+        orientation if orientation in range(2, 9) else 1,
     )
-    return pixels if exr else _standing(pixels, spec.getattribute("Orientation") or 1)
+
+
+def _not_decoded(path: Path, kind: FileKind, page: TiffPicture, said: str) -> MatcapError:
+    """The error for a picture that OpenImageIO does not decode."""
+    if page.compression:
+        return unsupported(path, f"TIFF compression {page.compression}")
+    if kind is FileKind.OTHER and "truncated" not in said:
+        return MatcapError.at(
+            path,
+            "this is not a readable picture",
+            "give an EXR, TIFF, PNG, JPEG, TGA, BMP or WebP file",
+        )
+    return unreadable(path, kind.value)
 
 
 def _parts(source: Any) -> list[Any]:  # noqa: ANN401
@@ -311,28 +399,6 @@ def _parts(source: Any) -> list[Any]:  # noqa: ANN401
         specs.append(source.spec().copy())
     forget_error(source.geterror)
     return specs
-
-
-def _tiff_picture(path: Path) -> TiffPicture:
-    try:
-        page = meant_picture(path)
-    except MemoryError:
-        raise
-    except Exception as error:  # tifffile raises anything at all on broken bytes
-        raise _broken(path) from error
-    _check_colours(path, NO_RGB.get(page.photometric, ""))
-    if page.refused:
-        raise _unsupported(path, page.refused)
-    return page
-
-
-def _standing(pixels: Pixels, orientation: Any) -> Pixels:  # noqa: ANN401
-    """The picture upright, by EXIF's orientation of what is stored; with a note if it turns."""
-    if orientation not in range(2, 9):
-        return pixels
-    stored = np.ascontiguousarray(upright(pixels.stored, int(orientation)))
-    note = f"Turned upright, as its Exif orientation ({orientation}) says."
-    return replace(pixels, stored=stored, notes=(*pixels.notes, note))
 
 
 def upright(picture: NDArray[Scalar], orientation: int) -> NDArray[Scalar]:
@@ -374,40 +440,14 @@ def _in_display_window(
     return whole, partial
 
 
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > MOST_PIXELS:
-        raise _too_large(path)
-
-
-def _check_colours(path: Path, space: str) -> None:
-    if space in _NO_COLOURS:
-        raise MatcapError.at(path, f"the picture's colours are {space}", "save it as RGB")
-
-
-def _too_large(path: Path) -> MatcapError:
-    return MatcapError.at(
-        path,
-        "the picture is larger than can be read",
-        f"reduce it to under {MOST_PIXELS // 1_000_000} megapixels",
-    )
-
-
-def _unsupported(path: Path, what: str) -> MatcapError:
-    return MatcapError.at(path, f"{what} is not supported", "save it in another coding")
-
-
-def _broken(path: Path) -> MatcapError:
-    return MatcapError.at(path, "the file is truncated or corrupt", "save or download it again")
-
-
 def linear_colours(
     pixels: Pixels, *, named: str = ""
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """(H, W, 3) linear Rec.709 of an image's colours, and notes to the user.
 
     Integers are converted from the file's colour space (stated_color.py), by default sRGB. Floats
-    are linear unless the file has a profile or a `colorInteropID` of a curve; an EXR file's
-    primaries are converted. Floats may be negative for colours outside Rec.709.
+    are linear unless the file has a profile or a `colorInteropID` of a curve; primaries that an EXR
+    or TIFF states are converted. Floats may be negative for colours outside Rec.709.
 
     Args:
         named: colour space that the file's name states, as space_of_name() has them; for integers
@@ -423,36 +463,33 @@ def linear_colours(
         stated = stated_color(pixels.path, pixels.page)
     if pixels.whole:
         if named:
-            return _from_space(colours, named, "the name's")
+            return _from_space(colours, space_of_name(named), named, "the name's")
         linearise, notes = stated.lineariser(colours.dtype)
         return linearise(colours), notes
     if stated.profile is not None:
         linearise, notes = lineariser_of(stated.profile, colours.dtype, LINEAR)
         return linearise(colours), notes
     if pixels.space:
-        return _from_space(colours, pixels.space, "the file's")
-    if pixels.primaries is None:
-        return _from_space(colours, named, "the name's") if named else (colours, ())
-    try:
-        matrix = rec709_from(pixels.primaries)
-    except ValueError:
-        return colours, ("The file's primaries span no colour space: Rec.709 assumed.",)
+        return _from_space(colours, space_of_name(pixels.space), pixels.space, "the file's")
+    matrix = stated.space.matrix
+    if pixels.primaries is not None:
+        try:
+            matrix = rec709_from(pixels.primaries)
+        except ValueError:
+            return colours, ("The file's primaries span no colour space: Rec.709 assumed.",)
+    elif matrix is None and named:
+        return _from_space(colours, space_of_name(named), named, "the name's")
     if matrix is None:
         return colours, ()
-    turned = _bounded(colours) @ matrix.T.astype(np.float32)
-    return turned, ("Colours converted from the file's primaries to Rec.709.",)
-
-
-def _bounded(colours: NDArray[Any]) -> NDArray[np.float32]:
-    """Colours that no matrix of colours makes infinite."""
-    return np.asarray(np.clip(colours, -_LARGEST, _LARGEST), np.float32)
+    return _from_space(
+        colours, ColorSpace("primaries", LINEAR.curves, matrix), "primaries", "the file's"
+    )
 
 
 def _from_space(
-    colours: NDArray[Any], name: str, whose: str
+    colours: NDArray[Any], space: ColorSpace | None, name: str, whose: str
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """Colours of a named space; of an unknown one as linear Rec.709, with a note."""
-    space = space_of_name(name)
     light: Any = colours.astype(np.float32) / np.float32(largest_code(colours.dtype))
     if space is None:
         return light, (
@@ -461,7 +498,8 @@ def _from_space(
     if space.curves[0] is not linear:
         light = np.stack([space.curves[c](light[..., c]) for c in range(3)], axis=-1)
     if space.matrix is not None:
-        light = _bounded(light) @ space.matrix.T.astype(np.float32)
+        bounded = np.asarray(np.clip(light, -_LARGEST, _LARGEST), np.float32)
+        light = bounded @ space.matrix.T.astype(np.float32)
     notes = () if space is LINEAR else (f"Colours converted from {whose} {space.name} to Rec.709.",)
     return np.asarray(light, np.float32), notes
 

@@ -35,7 +35,7 @@ from matcap.files.color import (
     space_of_primaries,
     srgb_decode,
 )
-from matcap.files.containers import Tag
+from matcap.files.containers import FileKind, Tag
 
 # ICC profiles: conversion of a file's colours to linear Rec.709 (ICC.1:2022).
 #
@@ -237,7 +237,6 @@ def _to_8_bits(
 # Files without a statement are sRGB. A statement that cannot be read gives a note. EXR files state
 # primaries (rec709.rec709_from).
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _MOST_CHUNK = 1 << 26  # bytes; larger chunks are skipped, as a header may claim any size
 _UNCALIBRATED = 65535
 _DECODED = 1 << 24  # most bytes of a decompressed profile
@@ -269,10 +268,9 @@ def stated_color(path: Path, page: int = 0) -> StatedColor:
         page: index of the picture in a TIFF file.
 
     Raises:
-        OSError: the file cannot be read.
+        MatcapError: the file cannot be read.
     """
-    with path.open("rb") as file:
-        head = file.read(32)
+    head = containers.read_head(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about malformed tags
@@ -282,23 +280,27 @@ def stated_color(path: Path, page: int = 0) -> StatedColor:
 
 
 def _stated(path: Path, head: bytes, page: int) -> StatedColor:
-    if head.startswith(_PNG):
-        return of_png(dict(png_chunks(path)))
-    if head.startswith(b"\xff\xd8"):
+    kind = containers.kind_of(head)
+    if kind is FileKind.PNG:
+        return _of_png(dict(png_chunks(path)))
+    if kind is FileKind.JPEG:
         return _of_jpeg(path)
-    if head[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    if kind is FileKind.TIFF:
         return _of_tiff(path, page)
-    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+    if kind is FileKind.WEBP:
         return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
-    if head[4:8] == b"ftyp":
-        return of_properties(containers.primary_properties(path))
-    return StatedColor()
+    if kind not in (FileKind.HEIC, FileKind.AVIF):
+        return StatedColor()
+    properties = containers.primary_properties(path)
+    if properties.profile is not None or properties.code_points is None:
+        return StatedColor(properties.profile)
+    return _of_code_points(*properties.code_points, "nclx")
 
 
 def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
     """(type, data) of a PNG's chunks except image data, up to where the file is truncated."""
     with path.open("rb") as file:
-        file.seek(len(_PNG))
+        file.seek(8)
         while len(head := file.read(8)) == 8:
             (size,) = struct.unpack(">I", head[:4])
             if head[4:] in (b"IDAT", b"fdAT") or size > _MOST_CHUNK:
@@ -324,7 +326,7 @@ def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
             file.seek(size % 2, 1)
 
 
-def of_png(chunks: dict[bytes, bytes]) -> StatedColor:
+def _of_png(chunks: dict[bytes, bytes]) -> StatedColor:
     """The statement of a PNG's chunks."""
     if len(chunks.get(b"cICP", b"")) >= 2:
         return _of_code_points(chunks[b"cICP"][0], chunks[b"cICP"][1], "cICP")
@@ -338,16 +340,7 @@ def of_png(chunks: dict[bytes, bytes]) -> StatedColor:
         return StatedColor(notes=(assumed(SRGB, "gAMA and cHRM"),))
 
 
-def of_properties(properties: containers.Properties) -> StatedColor:
-    """The statement of an ISO base media file on its primary picture."""
-    if properties.profile is not None:
-        return StatedColor(properties.profile)
-    if properties.code_points is None:
-        return StatedColor()
-    return _of_code_points(*properties.code_points, "nclx")
-
-
-def of_exif(exif: bytes) -> StatedColor:
+def _of_exif(exif: bytes) -> StatedColor:
     """The statement of Exif: R03 is Adobe RGB (DCF 2.0); an uncalibrated space gives a note."""
     from PIL import Image
 
@@ -406,7 +399,7 @@ def _of_jpeg(path: Path) -> StatedColor:
         info = JpegImageFile(file).info
     if "icc_profile" in info:  # None where one of its parts is missing
         return StatedColor(info["icc_profile"] or b"incomplete")
-    return of_exif(info["exif"]) if info.get("exif") else StatedColor()
+    return _of_exif(info["exif"]) if info.get("exif") else StatedColor()
 
 
 def _of_tiff(path: Path, page: int) -> StatedColor:

@@ -1,183 +1,40 @@
-"""DNG tags that LibRaw ignores: lens shading, white balance, colours (Adobe DNG 1.7.1)."""
+"""DNG tags that LibRaw ignores: lens shading, white balance, colours (Adobe DNG 1.7.1).
+
+Camera colours are converted to white-balanced Rec.709 as in its chapter 6. LibRaw uses
+AsShotNeutral and a single matrix. Here white is from AsShotNeutral or AsShotWhiteXY, by default
+D65; matrices are interpolated between the calibration illuminants by the white's colour
+temperature; CameraCalibration, AnalogBalance and ForwardMatrix are used. Third illuminants and
+reduction matrices are ignored.
+"""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.color import REC709_TO_D50
-from matcap.files.containers import Tag
-from matcap.photo.photo import decoding, unsupported
+from matcap.files.color import LINEAR, REC709_TO_D50, ColorSpace
+from matcap.files.containers import Tag, decoding, unsupported
+from matcap.files.stated_color import StatedColor
+from matcap.photo.developed import decode, light
+from matcap.photo.opcodes import VALUE_MAPPING, Opcodes, parse_opcodes
+from matcap.photo.photo import Decoded, check_size
 from matcap.photo.raw_samples import (
+    CFA,
+    FLOATING,
     JPEG_XL,
-    VALUE_MAPS,
     Crop,
-    ValueMap,
+    check_codecs,
     crop_of,
     needs_normalising,
+    normalised,
+    raw_page,
     unsupported_pattern,
-    value_maps,
 )
-
-if TYPE_CHECKING:
-    from tifffile import TiffPage
-
-
-# Parses and evaluates a DNG's GainMap opcodes, lens shading (Adobe DNG 1.7.1, chapter 7).
-#
-# raw.py applies them. Other opcodes are not applied; those that change more than single bad pixels
-# give a note.
-
-_GAIN_MAP = 9  # an opcode (DNG 1.7, chapter 7)
-_OF_VALUES = "a correction of values"
-# Other opcodes that change radiance or position, as text for notes.
-_UNDONE = {
-    **dict.fromkeys((1, 2, 14), "a lens distortion correction"),
-    3: "a radial vignette correction",
-    **dict.fromkeys(VALUE_MAPS, _OF_VALUES),
-    **dict.fromkeys((10, 11, 12, 13), "a correction of rows or columns"),
-}
-_HEADER = struct.Struct(">4I 4I 2I 4d I")
-_MOST_POINTS = 1 << 24  # of a map; limits the memory that a file can claim
-
-
-@dataclass(frozen=True)
-class GainMap:
-    """Gains on a coarse grid over the active area."""
-
-    area: tuple[int, int, int, int]
-    """Top, left, bottom, right of the pixels it applies to; the last two excluded."""
-    planes: tuple[int, int]
-    """First plane it applies to, and the plane after the last."""
-    pitch: tuple[int, int]
-    """Applies to every pitch-th row and column of the area."""
-    spacing: tuple[float, float]
-    origin: tuple[float, float]
-    """Spacing and origin of the grid (vertical, horizontal), in sides of the active area."""
-    gains: NDArray[np.float32]
-    """(V, H, P) float32; planes beyond P use the last."""
-
-    def at(
-        self, rows: NDArray[np.float64], columns: NDArray[np.float64], plane: int
-    ) -> NDArray[np.float32]:
-        """(R, C) bilinear gains at relative positions in [0, 1], clamped to the grid."""
-        grid = self.gains[..., min(plane - self.planes[0], self.gains.shape[2] - 1)]
-        down = _weights(rows, self.gains.shape[0], self.spacing[0], self.origin[0])
-        across = _weights(columns, self.gains.shape[1], self.spacing[1], self.origin[1])
-        return np.asarray(down @ grid @ across.T, np.float32)
-
-
-@dataclass(frozen=True)
-class Shading:
-    """All gain maps of one opcode list, for a picture that shows a part of the active area."""
-
-    maps: tuple[GainMap, ...]
-    """Gain maps, in coordinates of the active area."""
-    active: tuple[int, int]
-    """(height, width) of the active area."""
-    size: tuple[int, int]
-    """(height, width) of the picture."""
-    offset: tuple[int, int] = (0, 0)
-    """(row, column) of the picture's first pixel in the active area."""
-
-    def gains(self, top: int, bottom: int, planes: int) -> NDArray[np.float32]:
-        """(n, W, planes) gains for the picture's rows [top, bottom)."""
-        total = np.ones((bottom - top, self.size[1], planes), np.float32)
-        for gain_map in self.maps:
-            rows, down = self._touched(gain_map, np.arange(top, bottom), 0)
-            columns, across = self._touched(gain_map, np.arange(self.size[1]), 1)
-            place = np.ix_(rows, columns)
-            for plane in range(gain_map.planes[0], min(gain_map.planes[1], planes)):
-                total[..., plane][place] *= gain_map.at(down, across, plane)
-        return total
-
-    def largest(self, planes: int) -> float:
-        """The largest gain, at least 1."""
-        step = 256
-        strips = ((top, min(top + step, self.size[0])) for top in range(0, self.size[0], step))
-        return max(1.0, *(float(self.gains(*strip, planes).max()) for strip in strips))
-
-    def _touched(
-        self, gain_map: GainMap, pixels: NDArray[np.intp], axis: int
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Mask of rows (axis 0) or columns that a map applies to, and their relative positions."""
-        first, last = gain_map.area[axis], gain_map.area[axis + 2]
-        sites = pixels + self.offset[axis]
-        on_pitch = (sites - first) % gain_map.pitch[axis] == 0
-        inside = (sites >= first) & (sites < last) & on_pitch
-        return inside, (sites[inside] + 0.5) / self.active[axis]
-
-
-def parse_opcodes(data: bytes) -> tuple[tuple[GainMap, ...], frozenset[str]]:
-    """Parse an OpcodeList: its gain maps, and names of other corrections that it has.
-
-    Raises:
-        ValueError: the bytes are not an opcode list.
-    """
-    try:
-        (count,) = struct.unpack_from(">I", data)
-        maps, undone, offset = [], set(), 4
-        for _ in range(count):
-            opcode, _version, _flags, size = struct.unpack_from(">4I", data, offset)
-            payload = data[offset + 16 : offset + 16 + size]
-            if opcode == _GAIN_MAP:
-                maps.append(_parse_map(payload))
-            if opcode in _UNDONE:
-                undone.add(_UNDONE[opcode])
-            offset += 16 + size
-    except struct.error as error:
-        raise ValueError("the opcode list is cut short") from error
-    return tuple(maps), frozenset(undone)
-
-
-def _parse_map(payload: bytes) -> GainMap:
-    numbers = _HEADER.unpack_from(payload)
-    area, (plane, planes, *pitch) = numbers[:4], numbers[4:8]
-    points, spacing, origin, depth = numbers[8:10], numbers[10:12], numbers[12:14], numbers[14]
-    count = points[0] * points[1] * depth
-    if not 0 < count <= _MOST_POINTS or len(payload) < _HEADER.size + 4 * count:
-        raise ValueError("a gain map is cut short")
-    gains = np.frombuffer(payload, ">f4", count, _HEADER.size).astype(np.float32)
-    if min(pitch) < 1 or not (np.isfinite(gains).all() and gains.min() > 0.0):
-        raise ValueError("a gain map has invalid numbers")
-    if not all(np.isfinite(spacing)) or not all(np.isfinite(origin)):
-        raise ValueError("a gain map has an invalid grid")
-    return GainMap(
-        area,
-        (plane, plane + planes),
-        (pitch[0], pitch[1]),
-        spacing,
-        origin,
-        gains.reshape(*points, depth),
-    )
-
-
-def _weights(
-    positions: NDArray[np.float64], points: int, spacing: float, origin: float
-) -> NDArray[np.float32]:
-    """(positions, points) matrix of linear interpolation, clamped at the ends."""
-    if points == 1 or spacing <= 0.0:
-        weights = np.zeros((positions.size, points), np.float32)
-        weights[:, 0] = 1.0
-        return weights
-    place = np.clip((positions - origin) / spacing, 0.0, points - 1.0)
-    distance = np.abs(place[:, None] - np.arange(points))
-    return np.maximum(1.0 - distance, 0.0).astype(np.float32)
-
-
-# Conversion of a DNG's camera colours to white-balanced Rec.709 (Adobe DNG 1.7.1, chapter 6).
-#
-# LibRaw uses AsShotNeutral and a single matrix. Here white is from AsShotNeutral or AsShotWhiteXY,
-# by default D65; matrices are interpolated between the calibration illuminants by the white's
-# colour temperature; CameraCalibration, AnalogBalance and ForwardMatrix are used. Third illuminants
-# and reduction matrices are ignored.
 
 Matrix = NDArray[np.float64]
 
@@ -195,7 +52,7 @@ _CALIBRATION = (Tag.CameraCalibration1, Tag.CameraCalibration2)
 _FORWARD = (Tag.ForwardMatrix1, Tag.ForwardMatrix2)
 _ILLUMINANTS = (Tag.CalibrationIlluminant1, Tag.CalibrationIlluminant2)
 _SIGNATURES = (Tag.CameraCalibrationSignature, Tag.ProfileCalibrationSignature)
-COLOR_TAGS = frozenset(
+_TAGS = frozenset(
     {*_COLOR, *_CALIBRATION, *_FORWARD, *_ILLUMINANTS, *_SIGNATURES}
     | {Tag.AnalogBalance, Tag.AsShotNeutral, Tag.AsShotWhiteXY}
 )
@@ -376,27 +233,16 @@ def _text(value: Any) -> bytes:  # noqa: ANN401
     return data.rstrip(b"\0")
 
 
-# Reads DNG tags that LibRaw ignores: lens shading, white balance, JPEG XL compression.
-
-_CFA, _LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
-_FLOATING = 3  # a SampleFormat
-_MOST_PAGES = 64  # a damaged file may claim any number of them
-
-
 @dataclass(frozen=True)
 class Corrections:
     """Corrections of a DNG that matcap applies itself."""
 
-    on_mosaic: tuple[GainMap, ...] = ()
-    """Gain maps of OpcodeList2, for linear samples before demosaicing."""
-    after_demosaic: tuple[GainMap, ...] = ()
-    """Gain maps of OpcodeList3."""
-    rewritten: bool = False
-    """Whether LibRaw cannot read the samples as they are stored (JPEG XL), or misreads them."""
-    normalised: bool = False
-    """Whether it misreads them (raw_samples.py)."""
-    value_maps: tuple[ValueMap, ...] = ()
-    """MapTable and MapPolynomial of OpcodeList2."""
+    on_mosaic: Opcodes = Opcodes()
+    """OpcodeList2, for linear samples before demosaicing."""
+    after_demosaic: Opcodes = Opcodes()
+    """OpcodeList3."""
+    samples: Literal["plain", "packed", "misread", "floating"] = "plain"
+    """Whole numbers that LibRaw reads, cannot read (JPEG XL) or misreads; or floating point."""
     crop: Crop | None = None
     """Part of the active area that is the picture; None is all of it."""
     orientation: int | None = None
@@ -412,7 +258,7 @@ class Corrections:
     @property
     def has_maps(self) -> bool:
         """Whether there are gain maps."""
-        return bool(self.on_mosaic or self.after_demosaic)
+        return bool(self.on_mosaic.gain_maps or self.after_demosaic.gain_maps)
 
 
 def read_corrections(path: Path) -> Corrections:
@@ -429,54 +275,42 @@ def read_corrections(path: Path) -> Corrections:
         if page is None:
             return Corrections()
         pattern = unsupported_pattern(page)
-        if pattern and int(page.photometric) == _CFA:
+        if pattern and int(page.photometric) == CFA:
             raise unsupported(path, f"a DNG whose mosaic repeats by {pattern} photosites")
-        on_mosaic, undone = parse_opcodes(_bytes(page, Tag.OpcodeList2))
-        after, also_undone = parse_opcodes(_bytes(page, Tag.OpcodeList3))
-        maps = value_maps(_bytes(page, Tag.OpcodeList2))
-        asked = sorted((undone - {_OF_VALUES}) | also_undone)
-        floating = int(page.sampleformat) == _FLOATING
-        misread = not floating and needs_normalising(page, bool(maps))
-        area = _active_area(page)
-        crop = crop_of(
-            page, {tag.code: tag for one in (file.pages.first, page) for tag in one.tags}
+        # A list without entries where the tag is absent.
+        before, after = (
+            parse_opcodes(bytes(page.tags[tag].value) if tag in page.tags else bytes(4))
+            for tag in (Tag.OpcodeList2, Tag.OpcodeList3)
         )
+        samples: Literal["plain", "packed", "misread", "floating"] = "plain"
+        if int(page.sampleformat) == FLOATING:
+            samples = "floating"
+        elif needs_normalising(page, bool(before.value_maps)):
+            samples = "misread"
+        elif int(page.compression) == JPEG_XL:
+            samples = "packed"
+        of_file = file.pages.first.tags
+        tags = {tag.code: tag for one in (of_file, page.tags) for tag in one}
+        area, crop = _active_area(page), crop_of(page, tags)
+        asked = sorted((before.changes - {VALUE_MAPPING}) | after.changes)
         notes = [f"The DNG asks for {what}, which was not applied." for what in asked]
         if crop is not None and not crop.centred:
             notes.append(
                 "The file's crop is off centre: the smallest part around the centre that holds it "
                 "is read."
             )
-        first = file.pages.first.tags.get(Tag.Orientation)
+        first = of_file.get(Tag.Orientation)
+        stated = {t.code: t.value for one in (page.tags, of_file) for t in one if t.code in _TAGS}
         return Corrections(
-            on_mosaic,
+            before,
             after,
-            misread or int(page.compression) == JPEG_XL,
-            misread,
-            maps,
+            samples,
             crop,
             int(first.value) if first is not None and first.value in range(1, 9) else None,
-            None if misread else area,
-            dng_color(_values(page) | _values(file.pages.first)),
+            None if samples == "misread" else area,
+            dng_color(stated),
             tuple(notes),
         )
-
-
-def raw_page(file: Any) -> TiffPage | None:  # noqa: ANN401
-    """The largest raw picture of an open tifffile.TiffFile, or None."""
-    pages = islice(_pages(file), _MOST_PAGES)
-    raws = [page for page in pages if int(page.photometric) in (_CFA, _LINEAR_RAW)]
-    return max(raws, key=lambda page: page.imagewidth * page.imagelength, default=None)
-
-
-def _pages(file: Any) -> Iterator[Any]:  # noqa: ANN401
-    for page in file.pages:
-        yield page
-        yield from page.pages or ()
-
-
-def _values(page: Any) -> dict[int, Any]:  # noqa: ANN401
-    return {tag.code: tag.value for tag in page.tags if tag.code in COLOR_TAGS}
 
 
 def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401
@@ -488,6 +322,56 @@ def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401
     return top, left, bottom, right
 
 
-def _bytes(page: Any, tag: int) -> bytes:  # noqa: ANN401
-    """Bytes of an opcode list; of an empty one if the tag is absent."""
-    return bytes(page.tags[tag].value) if tag in page.tags else bytes(4)
+def read_float_dng(
+    path: Path, long_side: int | None, corrections: Corrections, white: float | None
+) -> Decoded:
+    """Read a DNG whose raw picture is in floating point, as merged exposures are.
+
+    LibRaw scales such a picture by its maximum. A mosaic is averaged by 2 x 2. White balance,
+    colours, active area and crop are the file's.
+
+    Raises:
+        MatcapError: truncated, damaged, too small, with lens-shading maps, of another pattern than
+            2 x 2, or without a colour matrix.
+    """
+    import tifffile
+
+    color, crop = corrections.color, corrections.crop
+    if color is None or corrections.has_maps:
+        raise unsupported(path, "a float DNG without a colour matrix, or with gain maps")
+    with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
+        page: Any = raw_page(file)
+        check_size(path, page.imagewidth, page.imagelength)
+        if int(page.compression) != 1:
+            check_codecs(path)
+        samples = normalised(page)
+        pattern = bytes(page.tags[Tag.CFAPattern].value) if samples.ndim == 2 else None
+    camera = samples[..., :3] if pattern is None else _binned(path, samples, pattern)
+    size, whole = (samples.shape[1], samples.shape[0]), None
+    if crop is not None:
+        step = 1 if pattern is None else 2
+        top, left, bottom, right = (edge // step for edge in crop.shown)
+        camera = camera[top:bottom, left:right]
+        size, whole = crop.sizes
+    balanced = np.asarray(camera / np.array(color.neutral, np.float32), np.float32)
+    notes = (*corrections.notes, *((color.note,) if color.note else ()))
+    space = ColorSpace("the camera", LINEAR.curves, color.matrix)
+    coded = replace(light(path, balanced, white, notes), color=StatedColor(space=space))
+    red, green, blue = (1.0 / channel for channel in color.neutral)
+    return replace(
+        decode(coded, long_side), size=size, whole=whole, radiometric=True,
+        balance=(red, green, blue),
+    )  # fmt: skip
+
+
+def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray[np.float32]:
+    """(H / 2, W / 2, 3) means of each colour over the 2 x 2 photosites of a mosaic."""
+    if sorted(pattern) != [0, 1, 1, 2]:
+        raise unsupported(path, "a float DNG whose mosaic is not of 2 x 2 photosites")
+    height, width = (side // 2 * 2 for side in samples.shape)
+    sites = [samples[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)]
+    planes = [
+        np.mean([s for s, of in zip(sites, pattern, strict=True) if of == c], axis=0)
+        for c in range(3)
+    ]
+    return np.stack(planes, axis=-1)

@@ -10,7 +10,7 @@ from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.containers import Tag, jpeg_segments
+from matcap.files.containers import FileKind, Tag, jpeg_segments, kind_of
 from matcap.files.stated_color import png_chunks, riff_chunks
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
@@ -136,19 +136,19 @@ def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
     if isinstance(source, bytes):
         return _interpret(exif_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))), xmp)
     with source.open("rb") as file:
-        head = file.read(16)
-        if head.startswith(b"\x89PNG"):
+        kind = kind_of(file.read(64))
+        if kind is FileKind.PNG:
             return _of_png(list(png_chunks(source)))
-        if head[:4] == b"RIFF":
+        if kind is FileKind.WEBP:
             chunks = dict(riff_chunks(source))
             return read_exif(chunks.get(b"EXIF", b""), chunks.get(b"XMP ", b""))
-        if head.startswith(b"\xff\xd8"):
+        xmp = _xmp_of(source) if kind is FileKind.TIFF else b""
+        if kind is FileKind.JPEG:
             exif, xmp = _of_jpeg(source)
             if exif:
                 return read_exif(exif, xmp)
         file.seek(0)
-        tags = exif_tags(file)
-    return _interpret(tags, xmp if head.startswith(b"\xff\xd8") else _xmp_of(source, head))
+        return _interpret(exif_tags(file), xmp)
 
 
 def _of_jpeg(path: Path) -> tuple[bytes, bytes]:
@@ -189,18 +189,16 @@ def _text(data: bytes) -> bytes:
         return b""
 
 
-def _xmp_of(path: Path, head: bytes) -> bytes:
+def _xmp_of(path: Path) -> bytes:
     """The XMP packet of a TIFF; empty if there is none."""
-    try:
-        if head[:4] in (b"II*\0", b"MM\0*"):
-            import tifffile
+    import tifffile
 
-            with tifffile.TiffFile(path) as tiff:
-                tag = tiff.pages.first.tags.get(Tag.XMP)
-                return b"" if tag is None else bytes(tag.value)[:_LARGEST_XMP]
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            tag = tiff.pages.first.tags.get(Tag.XMP)
+            return b"" if tag is None else bytes(tag.value)[:_LARGEST_XMP]
     except Exception:  # parsers raise anything on damaged files; decoding the pixels reports them
         return b""
-    return b""
 
 
 def _of_xmp(xmp: bytes, name: bytes) -> int:

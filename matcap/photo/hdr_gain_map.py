@@ -35,10 +35,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import ColorSpace, rec709_decode
-from matcap.files.containers import Tag
+from matcap.files.containers import APPLE_GAIN_MAP, Tag
+from matcap.files.pixels import Pixels
 from matcap.files.stated_color import lineariser_of
 
-APPLE = "urn:com:apple:photo:2020:aux:hdrgainmap"
 NAME = "HDR gain map"  # in all notes on one
 # Of files that have a gain map: Ultra HDR and Adobe, Apple, ISO 21496-1.
 _MARKS = (b"ns.adobe.com/hdr-gain-map", b"aux:hdrgainmap", b"iso:ts:21496:-1")
@@ -203,7 +203,7 @@ def of_jpeg(data: bytes, exif: Mapping[int, Any]) -> HdrGainMap:
                 rank, form, numbers = 0, "ISO 21496-1", _iso_numbers(iso)
             elif b"hdrgm:GainMapMax" in xmp or b"hdrgm:Version" in xmp:
                 rank, form, numbers = 1, "Ultra HDR", _xmp_numbers(xmp)
-            elif APPLE.encode() not in xmp and b"HDRGainMapVersion" not in xmp:
+            elif APPLE_GAIN_MAP.encode() not in xmp and b"HDRGainMapVersion" not in xmp:
                 continue
             codes, profile = _decoded(data[begin:])
             if numbers is not None:
@@ -215,6 +215,23 @@ def of_jpeg(data: bytes, exif: Mapping[int, Any]) -> HdrGainMap:
     if not forms:
         raise ValueError(failed)
     return min(forms, key=lambda form: form[0])[1]
+
+
+def of_heic(path: Path, pixels: Pixels) -> HdrGainMap:
+    """Apple's gain map of a HEIC, turned as the base is.
+
+    Raises:
+        ValueError: its headroom is missing, or it has more than 8 bits.
+    """
+    codes = pixels.gain_map
+    if codes is None or codes.dtype != np.uint8:
+        raise ValueError("it has more than 8 bits")
+    # XMP of the auxiliary picture is stored as it is, and not handed out.
+    headroom = apple_headroom(exif_ifd(pixels.info.get("exif") or b""), path.read_bytes())
+    gain_map = apple(codes.reshape(*codes.shape[:2], -1), None, headroom)
+    turned = replace(gain_map, codes=np.ascontiguousarray(np.rot90(gain_map.codes)))
+    size = pixels.size
+    return gain_map if gain_map.fits(*size) or not turned.fits(*size) else turned
 
 
 def apple(codes: NDArray[np.uint8], profile: bytes | None, headroom: float) -> HdrGainMap:

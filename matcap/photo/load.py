@@ -3,75 +3,25 @@
 from __future__ import annotations
 
 import math
-import struct
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from enum import Enum
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.files.containers import Tag
-from matcap.files.exr import MAGIC
+from matcap.files.containers import FileKind, Tag, decoding, kind_of, read_head
 from matcap.files.pixels import upright
 from matcap.files.process import quiet_decoders
-from matcap.photo.developed import read_heic, read_jpeg, read_webp_or_avif
-from matcap.photo.dng import Corrections, raw_page, read_corrections
+from matcap.photo.developed import read_developed
+from matcap.photo.dng import Corrections, read_corrections, read_float_dng
 from matcap.photo.exif import Exif, part_of_fov, phone_fov, read_exif
 from matcap.photo.left_out import leave_transparent_out
-from matcap.photo.lossless import (
-    is_float_dng,
-    read_exr_or_radiance,
-    read_float_dng,
-    read_png_or_tiff,
-)
-from matcap.photo.photo import (
-    READABLE,
-    SHORTEST_SIDE,
-    Decoded,
-    Photo,
-    ToneCurve,
-    check_size,
-    decoding,
-    missing_extra,
-    quarter_turn,
-    unreadable,
-)
+from matcap.photo.photo import SHORTEST_SIDE, Decoded, Photo, ToneCurve, quarter_turn
 from matcap.photo.raw import read_raw
-from matcap.photo.raw_samples import DONE, normalised
+from matcap.photo.raw_samples import raw_page
 
-if TYPE_CHECKING:
-    from tifffile import TiffPage
-
-
-class FileKind(Enum):
-    """Formats of photographs."""
-
-    RAW = "RAW"
-    DNG = "DNG"
-    JPEG = "JPEG"
-    PNG = "PNG"
-    TIFF = "TIFF"
-    HEIC = "HEIC"
-    AVIF = "AVIF"
-    WEBP = "WebP"
-    EXR = "EXR"
-    RADIANCE = "Radiance HDR"
-
-
-_EXR = b"\x76\x2f\x31\x01"
-_JPEG = b"\xff\xd8\xff"
-_PNG = b"\x89PNG\r\n\x1a\n"
-_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_RAW = (b"FUJIFILM", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM")
-_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
-_AVIF_BRANDS = {b"avif", b"avis"}
 # Of RAW files other than DNG.
 RAW_SUFFIXES = frozenset(
     f".{maker}"
@@ -81,73 +31,28 @@ RAW_SUFFIXES = frozenset(
         *("srw", "x3f"),
     )
 )
-_HEAD = 64  # first bytes that are read
+_READABLE = "give a DNG or other RAW, a JPEG, PNG, TIFF, HEIC, AVIF, WebP, EXR or HDR"
 
 
 def file_kind(path: Path) -> FileKind:
-    """Detect a file's format.
+    """Detect a photograph's format; of TIFFs, DNG by its version tag, RAW by suffix or raw picture.
 
     Raises:
         MatcapError: the file is missing, not a file, empty, unreadable, or not a photograph.
     """
-    head = _head(path)
-    if head.startswith(_JPEG):
-        return FileKind.JPEG
-    if head.startswith(_PNG):
-        return FileKind.PNG
-    if head.startswith(_EXR):
-        return FileKind.EXR
-    if head.startswith(MAGIC):
-        return FileKind.RADIANCE
-    if head[4:8] == b"ftyp":
-        brands = {head[8:12], *(head[at : at + 4] for at in range(16, len(head), 4))}
-        # AVIF first, as AVIF files may have HEIC's generic brands.
-        if brands & _AVIF_BRANDS:
-            return FileKind.AVIF
-        if brands & _HEIC_BRANDS:
-            return FileKind.HEIC
-    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
-        return FileKind.WEBP
-    if head[4:12] == b"ftypcrx " or head.startswith(_RAW):
-        return FileKind.RAW
-    if head.startswith(_TIFF):
-        return _of_tiff(path)
-    raise MatcapError.at(path, f"this is not a photograph{_guess(head)}", READABLE)
-
-
-def _head(path: Path) -> bytes:
-    if path.is_dir():
-        raise MatcapError.at(path, "this is a directory", "give one photograph inside it")
-    try:
-        if path.exists() and not path.is_file():
-            raise MatcapError.at(path, "this is not a file", READABLE)
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except FileNotFoundError as error:
-        raise MatcapError.at(path, "there is no such file", "check the name") from error
-    except PermissionError as error:
-        raise MatcapError.at(path, "the file may not be read", "change its permissions") from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a null character
-        raise MatcapError.at(
-            path,
-            f"the file cannot be read ({getattr(error, 'strerror', None) or error})",
-            "check the disk and the name",
-        ) from error
-    if not head:
-        raise MatcapError.at(path, "the file is empty", "copy it from the camera again")
-    return head
-
-
-def _of_tiff(path: Path) -> FileKind:
-    """The format of a TIFF: DNG by its version tag, RAW by its suffix or by a raw picture."""
+    head = read_head(path)
+    kind = kind_of(head)
+    if kind is FileKind.OTHER:
+        raise MatcapError.at(path, f"this is not a photograph{_guess(head)}", _READABLE)
+    if kind is not FileKind.TIFF:
+        return kind
     import tifffile
 
     with decoding(path, "TIFF"), tifffile.TiffFile(path) as file:
         if Tag.DNGVersion in file.pages.first.tags:
             return FileKind.DNG
-        if path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None:
-            return FileKind.RAW
-        return FileKind.TIFF
+        raw = path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None
+        return FileKind.RAW if raw else FileKind.TIFF
 
 
 # Other formats by their first bytes, for error messages.
@@ -170,164 +75,6 @@ def _guess(head: bytes) -> str:
         return " but a text file"
     return ""
 
-
-# Rewrites DNGs that LibRaw cannot read (JPEG XL, of newer ProRAW) or misreads, to temporary copies.
-#
-# tifffile decompresses the raw picture. The copy has it as one uncompressed strip, normalised if
-# LibRaw would misread it (raw_samples.py), with all other tags unchanged.
-
-
-# Black and white of normalised mosaics, so that noise below black is kept.
-_PEDESTAL, _LARGEST = 4096, 65535
-_AS_STORED = Corrections()
-# Tags of the compression, which are dropped.
-_OF_COMPRESSION = (
-    *(Tag.Predictor, Tag.TileWidth, Tag.TileLength, Tag.TileOffsets, Tag.TileByteCounts),
-    Tag.JPEGTables,
-)
-_NONE = 1  # a compression
-_SHORT, _LONG = 3, 4  # types of TIFF
-_ENTRY = 12  # bytes
-
-Read = TypeVar("Read")
-
-
-def read_rewritten(path: Path, read: Callable[[Path], Read], corrections: Corrections) -> Read:
-    """Read a DNG that LibRaw cannot read, or misreads, by a function for plain ones.
-
-    Raises:
-        MatcapError: imagecodecs, an extra, is not installed; the file is truncated, damaged or not
-            supported.
-    """
-    with plain_copy(path, corrections) as copy:
-        try:
-            return read(copy)
-        except MatcapError as error:
-            # Without the temporary path.
-            raise MatcapError.at(path, error.what, error.remedy) from error
-
-
-def _check_decoder(path: Path) -> None:
-    try:
-        import imagecodecs  # noqa: F401  (tifffile calls it)
-    except ImportError as error:
-        form = "a DNG compressed with JPEG XL or lossy JPEG"
-        raise missing_extra(path, form, "jxl") from error
-
-
-@contextmanager
-def plain_copy(path: Path, corrections: Corrections = _AS_STORED) -> Iterator[Path]:
-    """Context of a temporary uncompressed copy of a DNG, its samples normalised if they need it.
-
-    Raises:
-        MatcapError: truncated, damaged, without a raw picture of integers in one or three samples,
-            or imagecodecs is not installed.
-    """
-    import tifffile
-
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "plain.dng"
-        with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
-            page: Any = raw_page(file)
-            if page is None:
-                raise unreadable(path, "DNG")
-            check_size(path, page.imagewidth, page.imagelength)
-            if int(page.compression) != _NONE:
-                _check_decoder(path)
-            levels = None
-            if corrections.normalised:
-                samples = normalised(page, corrections.value_maps)
-                levels = (_PEDESTAL if samples.ndim == 2 else 0, _LARGEST)
-                span = _LARGEST - levels[0]
-                samples = np.clip(np.rint(levels[0] + samples * span), 0, _LARGEST)
-                samples = samples.astype(np.uint16)
-            else:
-                samples = page.asarray()
-            if file.is_bigtiff or samples.dtype.kind != "u" or samples.shape[2:] not in ((), (3,)):
-                raise MatcapError.at(
-                    path,
-                    "the DNG holds neither a mosaic nor linear colours of whole numbers",
-                    "convert it with Adobe DNG Converter, without JPEG XL",
-                )
-            order = file.byteorder
-            with copy.open("wb") as out:
-                out.write(_patched(path.read_bytes(), file, page, samples, levels))
-                samples.astype(f"{order}u2").tofile(out)
-        yield copy
-
-
-def _patched(
-    data: bytes,
-    file: Any,  # noqa: ANN401
-    page: TiffPage,
-    samples: NDArray[Any],
-    levels: tuple[int, int] | None,
-) -> bytearray:
-    """The file with a new directory for the raw picture, whose samples will be appended.
-
-    Args:
-        levels: black and white of normalised samples, or None where the file's are right.
-    """
-    order = str(file.byteorder)
-    dropped = _OF_COMPRESSION if levels is None else (*_OF_COMPRESSION, *DONE)
-    entries = {
-        tag.code: data[tag.offset : tag.offset + _ENTRY]
-        for tag in page.tags
-        if tag.code not in dropped
-    }
-    planes = 1 if samples.ndim == 2 else 3
-    patched = bytearray(data + bytes(len(data) % 2))
-    bits_at = len(patched)
-    patched += struct.pack(f"{order}4H", 16, 16, 16, 0)
-    at = len(patched)
-    changed = {
-        Tag.BitsPerSample: (_SHORT, planes, 16 if planes == 1 else bits_at),
-        Tag.Compression: (_SHORT, 1, _NONE),
-        Tag.RowsPerStrip: (_LONG, 1, samples.shape[0]),
-        Tag.StripByteCounts: (_LONG, 1, 2 * samples.size),
-        Tag.StripOffsets: (_LONG, 1, 0),
-    }
-    if levels is not None:
-        changed |= {
-            Tag.ImageWidth: (_LONG, 1, samples.shape[1]),
-            Tag.ImageLength: (_LONG, 1, samples.shape[0]),
-            Tag.BlackLevel: (_LONG, 1, levels[0]),
-            Tag.WhiteLevel: (_LONG, 1, levels[1]),
-        }
-    elif Tag.WhiteLevel not in entries:
-        changed[Tag.WhiteLevel] = (_LONG, 1, 2 ** int(page.bitspersample) - 1)
-    size = 2 + _ENTRY * len(entries | changed) + 4
-    changed[Tag.StripOffsets] = (_LONG, 1, at + size)
-    for code, (kind, count, value) in changed.items():
-        form = "HH" if kind == _SHORT and count == 1 else "I"
-        stored = struct.pack(f"{order}{form}", *((value, 0) if form == "HH" else (value,)))
-        entries[code] = struct.pack(f"{order}HHI", code, kind, count) + stored
-    patched += struct.pack(f"{order}H", len(entries))
-    patched += b"".join(entries[code] for code in sorted(entries)) + bytes(4)
-    pointer = _pointer(data, file, page, order)
-    patched[pointer : pointer + 4] = struct.pack(f"{order}I", at)
-    return patched
-
-
-def _pointer(data: bytes, file: Any, page: TiffPage, order: str) -> int:  # noqa: ANN401
-    """Position of the offset that points to a page's directory.
-
-    Raises:
-        ValueError: it is not in a known place.
-    """
-    places = [4]  # of the first page
-    for each in file.pages:
-        places.append(each.offset + 2 + _ENTRY * len(each.tags))
-        if Tag.SubIFDs in each.tags:
-            tag = each.tags[Tag.SubIFDs]
-            places += [tag.valueoffset + 4 * index for index in range(tag.count)]
-    for place in places:
-        if data[place : place + 4] == struct.pack(f"{order}I", page.offset):
-            return place
-    raise ValueError("a directory that nothing points to")
-
-
-# Reads a photograph file of any supported format to a Photo.
 
 _DARKEST = 1e-3  # linear; a picture whose maximum is less counts as black
 _MOST_CLIPPED = 0.95  # largest share of clipped pixels
@@ -369,21 +116,13 @@ def _read(
     path: Path, long_side: int | None, noise: bool, white: float | None
 ) -> tuple[Decoded, Exif]:
     kind = file_kind(path)
-    if kind is FileKind.JPEG:
-        return read_jpeg(path, long_side)
-    if kind is FileKind.HEIC:
-        return read_heic(path, long_side)
-    if kind in (FileKind.WEBP, FileKind.AVIF):
-        return read_webp_or_avif(path, kind.value, long_side)
-    if kind in (FileKind.PNG, FileKind.TIFF):
-        return read_png_or_tiff(path, kind.value, long_side, white)
-    if kind in (FileKind.EXR, FileKind.RADIANCE):
-        return read_exr_or_radiance(path, long_side, white), Exif()
+    if kind not in (FileKind.RAW, FileKind.DNG):
+        return read_developed(path, kind, long_side, white)
     corrections = read_corrections(path) if kind is FileKind.DNG else Corrections()
-    if kind is FileKind.DNG and is_float_dng(path):
-        return read_float_dng(path, long_side, corrections, white)
-    read = partial(read_raw, long_side=long_side, corrections=corrections, noise=noise)
-    picture = read_rewritten(path, read, corrections) if corrections.rewritten else read(path)
+    if corrections.samples == "floating":
+        picture = read_float_dng(path, long_side, corrections, white)
+    else:
+        picture = read_raw(path, long_side, corrections, noise=noise)
     orientation = corrections.orientation or picture.orientation
     return replace(picture, orientation=orientation), read_exif(path)
 

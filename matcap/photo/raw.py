@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.photo.dng import Corrections, GainMap, Shading
+from matcap.files.containers import decoding, unreadable
+from matcap.photo.dng import Corrections
 from matcap.photo.left_out import Rows, shrink
-from matcap.photo.photo import Decoded, check_size, decoding, unreadable
+from matcap.photo.opcodes import GainMap, Shading
+from matcap.photo.photo import Decoded, check_size
+from matcap.photo.raw_samples import plain_dng
 
 # Sensor noise: estimated from the mosaic, and sampled.
 #
@@ -186,7 +190,7 @@ def _tiled(black: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.flo
 #
 # LibRaw ignores a DNG's lens-shading maps; they are applied to the mosaic before it is developed.
 # Clipping is detected in the mosaic, as channels clip at different values after white balance.
-# JPEG-XL DNGs are decompressed first (load.py).
+# DNGs that it cannot read or misreads are rewritten first (raw_samples.py).
 #
 # Noise is sampled on the mosaic and developed in the same way, so that the effects of demosaicing,
 # colour conversion and downsampling on it need no model.
@@ -216,7 +220,11 @@ def read_raw(
     Raises:
         MatcapError: truncated, damaged, not supported or too small.
     """
-    with decoding(path, "RAW"), _opened(path) as raw:
+    rewritten = None
+    if corrections.samples != "plain":
+        misread = corrections.samples == "misread"
+        rewritten = plain_dng(path, corrections.on_mosaic.value_maps if misread else None)
+    with decoding(path, "RAW"), _opened(path, rewritten) as raw:
         part = _shown(raw, corrections)
         height, width = part[0].stop - part[0].start, part[1].stop - part[1].start
         check_size(path, width, height)
@@ -235,7 +243,7 @@ def read_raw(
     again = None
     if noisy is not None:
         # Opened again, as developing changes the mosaic that LibRaw returns.
-        with decoding(path, "RAW"), _opened(path) as raw:
+        with decoding(path, "RAW"), _opened(path, rewritten) as raw:
             raw.raw_image_visible[...] = noisy
             again, _ = _develop(raw, corrections, balance, half)
     if developed.shape != (*saturated.shape, 3):
@@ -277,13 +285,8 @@ def read_raw(
         clipped_share=share,
         noise=drawn,
         balance=balance,
-        whole=_size(corrections.crop.whole) if corrections.crop else None,
+        whole=corrections.crop.sizes[1] if corrections.crop else None,
     )
-
-
-def _size(area: tuple[int, int, int, int]) -> tuple[int, int]:
-    """(width, height) of an area."""
-    return area[3] - area[1], area[2] - area[0]
 
 
 def _shown(raw: Any, corrections: Corrections) -> tuple[slice, slice]:  # noqa: ANN401
@@ -334,11 +337,12 @@ def _develop(
     return developed, headroom
 
 
-def _opened(path: Path) -> Any:  # noqa: ANN401
+def _opened(path: Path, rewritten: bytes | None) -> Any:  # noqa: ANN401
+    """A RAW file opened by LibRaw, or what it has been rewritten to."""
     import rawpy
 
     try:
-        return rawpy.imread(str(path))
+        return rawpy.imread(str(path) if rewritten is None else io.BytesIO(rewritten))
     except rawpy.LibRawFileUnsupportedError as error:
         raise MatcapError.at(
             path,
@@ -468,8 +472,8 @@ def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  #
         # LibRaw does not subtract the black level from the white level of demosaiced files.
         stacked = not flat and black.max() > 0
         return 1.0, int(raw.white_level - black.max()) if stacked else None
-    before = _shading(corrections.on_mosaic, corrections, raw)
-    after = _shading(corrections.after_demosaic, corrections, raw)
+    before = _shading(corrections.on_mosaic.gain_maps, corrections, raw)
+    after = _shading(corrections.after_demosaic.gain_maps, corrections, raw)
     headroom = before.largest(1 if flat else 3) * after.largest(3)
     # Scaled to 16 bits, so that gains neither clip nor lose precision.
     white_at = raw.white_level - black.min()

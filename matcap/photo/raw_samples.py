@@ -1,42 +1,45 @@
-"""Samples of a DNG's raw picture as its tags define them: order, linearisation, levels (DNG 1.7.1).
+"""Samples of a DNG's raw picture as its tags define them: order, linearisation, levels, crop.
 
 LibRaw gives black levels by place to the wrong colours where the active area begins at an odd row
-or column, has a curve of its own for lossy JPEG, and ignores interleaving, levels by row and plane
-and MapPolynomial. load.py rewrites such files by this module.
+or column, has a curve of its own for lossy JPEG, ignores interleaving, levels by row and plane and
+MapPolynomial, and cannot read JPEG XL (of newer ProRAW). tifffile decompresses such files, and
+LibRaw gets a plain DNG of them, normalised if it would misread the samples (DNG 1.7.1, chapter 5).
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
+import io
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.containers import Tag
+from matcap.errors import MatcapError
+from matcap.files.containers import Tag, check_pixels, decoding, missing_extra, unreadable
+from matcap.photo.opcodes import ValueMap
 
-JPEG_XL, _LOSSY_JPEG = 52546, 34892  # compressions
+CFA, LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
+JPEG_XL, _LOSSY_JPEG, _NONE = 52546, 34892, 1  # compressions
+FLOATING = 3  # a SampleFormat
 # Tags that are done once the samples are normalised.
-DONE = (
-    *(
-        Tag.LinearizationTable,
-        Tag.BlackLevelRepeatDim,
-        Tag.BlackLevel,
-        Tag.BlackLevelDeltaH,
-        Tag.BlackLevelDeltaV,
-        Tag.WhiteLevel,
-    ),
-    *(Tag.ActiveArea, Tag.MaskedAreas, Tag.RowInterleaveFactor, Tag.ColumnInterleaveFactor),
+_DONE = {
+    *(Tag.LinearizationTable, Tag.BlackLevelRepeatDim, Tag.BlackLevel, Tag.WhiteLevel),
+    *(Tag.BlackLevelDeltaH, Tag.BlackLevelDeltaV, Tag.ActiveArea, Tag.MaskedAreas),
+    *(Tag.RowInterleaveFactor, Tag.ColumnInterleaveFactor),
     *(Tag.DefaultCropOrigin, Tag.DefaultCropSize, Tag.DefaultUserCrop),
     *(Tag.OpcodeList1, Tag.OpcodeList2, Tag.OpcodeList3),
-)
-_RATIONALS, _FLOATING = (5, 10), 3  # types of TIFF, and a SampleFormat
-_MAP_TABLE, _MAP_POLYNOMIAL = 7, 8  # opcodes
-VALUE_MAPS = (_MAP_TABLE, _MAP_POLYNOMIAL)
-_AREA = struct.Struct(">8I I")  # area, plane, planes, pitch; then the number of entries or degree
-_HIGHEST_DEGREE = 8  # of a MapPolynomial
+}
+# Tags of a plain DNG, beside those from DNGVersion on: maker, model, mosaic.
+_KEPT = (271, 272, Tag.Orientation, Tag.CFARepeatPatternDim, Tag.CFAPattern)
+_RATIONALS = (5, 10)  # types of TIFF
+_SHORT = 3
+# Black and white of normalised mosaics, so that noise below black is kept.
+_PEDESTAL, _WHITE = 4096, 65535
+_MOST_PAGES = 64  # a damaged file may claim any number of them
 # Differences of black levels, over the range of light, that matter: where LibRaw gives them to the
 # wrong colours, and where it scales by the least of them.
 _LEAST_SPREAD, _SPREAD = 1e-3, 1e-2
@@ -44,19 +47,99 @@ _LARGEST_PATTERN = 64  # photosites a side, of black levels; a damaged file may 
 _PATTERNS = ((2, 2), (6, 6))  # of mosaics: Bayer, X-Trans
 
 
+def raw_page(file: Any) -> Any | None:  # noqa: ANN401
+    """The largest raw picture of an open tifffile.TiffFile, or None."""
+    pages = islice(_pages(file), _MOST_PAGES)
+    raws = [page for page in pages if int(page.photometric) in (CFA, LINEAR_RAW)]
+    return max(raws, key=lambda page: page.imagewidth * page.imagelength, default=None)
+
+
+def _pages(file: Any) -> Iterator[Any]:  # noqa: ANN401
+    for page in file.pages:
+        yield page
+        yield from page.pages or ()
+
+
+def plain_dng(path: Path, maps: tuple[ValueMap, ...] | None) -> bytes:
+    """A DNG as an uncompressed one, of its raw picture alone.
+
+    Args:
+        maps: to normalise the samples with, by none or more; None keeps them as they are stored.
+
+    Raises:
+        MatcapError: truncated, damaged, without a raw picture of integers in one or three samples,
+            or imagecodecs, an extra, is not installed.
+    """
+    import tifffile
+
+    with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
+        page = raw_page(file)
+        if page is None:
+            raise unreadable(path, "DNG")
+        check_pixels(path, page.imagewidth, page.imagelength)
+        if int(page.compression) != _NONE:
+            check_codecs(path)
+        tags = {tag.code: tag for one in (page, file.pages.first) for tag in one.tags}
+        tags |= {tag.code: tag for tag in page.tags if tag.code != Tag.Orientation}
+        kept = {code for code in tags if code in _KEPT or code >= Tag.DNGVersion}
+        samples, levels = page.asarray(), {}
+        if maps is not None:
+            light, kept = normalised(page, maps), kept - _DONE
+            levels = {Tag.BlackLevel: _PEDESTAL if light.ndim == 2 else 0, Tag.WhiteLevel: _WHITE}
+            span = _WHITE - levels[Tag.BlackLevel]
+            samples = np.clip(np.rint(levels[Tag.BlackLevel] + light * span), 0, _WHITE)
+            samples = samples.astype(np.uint16)
+        elif Tag.WhiteLevel not in kept:
+            levels = {Tag.WhiteLevel: 2 ** int(page.bitspersample) - 1}
+        if samples.dtype.kind != "u" or samples.shape[2:] not in ((), (3,)):
+            raise MatcapError.at(
+                path,
+                "the DNG holds neither a mosaic nor linear colours of whole numbers",
+                "convert it with Adobe DNG Converter, without JPEG XL",
+            )
+        planes = samples[..., None].shape[2]
+        stated = [(c, int(tags[c].dtype), tags[c].count, tags[c].value, True) for c in sorted(kept)]
+        stated += [
+            (code, _SHORT, planes, (level,) * planes, True) for code, level in levels.items()
+        ]
+        plain = io.BytesIO()
+        tifffile.imwrite(
+            plain,
+            samples.astype(np.uint16),
+            photometric=CFA if planes == 1 else LINEAR_RAW,
+            planarconfig=None if planes == 1 else "contig",
+            metadata=None,
+            software=False,
+            extratags=stated,
+        )
+        return plain.getvalue()
+
+
+def check_codecs(path: Path) -> None:
+    """Raise MatcapError if imagecodecs is not installed, by which tifffile decompresses."""
+    try:
+        import imagecodecs  # noqa: F401
+    except ImportError as error:
+        form = "a DNG in floating point, or compressed with JPEG XL or lossy JPEG,"
+        raise missing_extra(path, form, "jxl") from error
+
+
 def needs_normalising(page: Any, has_value_maps: bool) -> bool:  # noqa: ANN401
     """Whether LibRaw would misread the samples of a raw picture of whole numbers."""
-    top, left, *_ = _whole(page, Tag.ActiveArea, (0, 0))
-    repeat = tuple(_whole(page, Tag.BlackLevelRepeatDim, (1, 1)))
-    black, white = value(page, Tag.BlackLevel, (0.0,)), value(page, Tag.WhiteLevel, (65535.0,))
+    top, left, *_ = _whole(page.tags, Tag.ActiveArea, (0, 0))
+    repeat = tuple(_whole(page.tags, Tag.BlackLevelRepeatDim, (1, 1)))
+    black, white = (
+        numbers(page.tags, Tag.BlackLevel, (0.0,)),
+        numbers(page.tags, Tag.WhiteLevel, (65535.0,)),
+    )
     spread = float(np.ptp(black)) / max(float(white.min() - black.max()), 1.0)
     odd = (top | left) % 2 == 1 or int(page.samplesperpixel) > 1
     return bool(
         has_value_maps
         or int(page.compression) == _LOSSY_JPEG
         or _factors(page) != (1, 1)
-        or value(page, Tag.BlackLevelDeltaH, (0.0,)).any()
-        or value(page, Tag.BlackLevelDeltaV, (0.0,)).any()
+        or numbers(page.tags, Tag.BlackLevelDeltaH, (0.0,)).any()
+        or numbers(page.tags, Tag.BlackLevelDeltaV, (0.0,)).any()
         or repeat not in ((1, 1), (2, 2))
         or spread > (_LEAST_SPREAD if odd else _SPREAD)
         or len(set(white)) > 1
@@ -65,7 +148,7 @@ def needs_normalising(page: Any, has_value_maps: bool) -> bool:  # noqa: ANN401
 
 def unsupported_pattern(page: Any) -> str:  # noqa: ANN401
     """What a mosaic's pattern is, such as "4 x 4", if it is not supported; else ""."""
-    size = tuple(_whole(page, Tag.CFARepeatPatternDim, _PATTERNS[0]))
+    size = tuple(_whole(page.tags, Tag.CFARepeatPatternDim, _PATTERNS[0]))
     return "" if size in _PATTERNS else " x ".join(map(str, size))
 
 
@@ -80,27 +163,27 @@ def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32
         table = np.asarray(page.tags[Tag.LinearizationTable].value, np.float32)
         stored = table[np.minimum(stored, len(table) - 1)]
     samples: Any = stored.astype(np.float32)
-    area = _whole(page, Tag.ActiveArea, (0, 0, *samples.shape[:2]))
+    area = _whole(page.tags, Tag.ActiveArea, (0, 0, *samples.shape[:2]))
     samples = samples[area[0] : area[2], area[1] : area[3]]
     flat = samples.ndim == 2
     samples = samples[..., None] if flat else samples
     height, width, planes = samples.shape
-    rows, columns = _whole(page, Tag.BlackLevelRepeatDim, (1, 1))
+    rows, columns = _whole(page.tags, Tag.BlackLevelRepeatDim, (1, 1))
     if not (1 <= rows <= _LARGEST_PATTERN and 1 <= columns <= _LARGEST_PATTERN):
         raise ValueError("a pattern of black levels that no sensor has")
-    pattern = np.resize(value(page, Tag.BlackLevel, (0.0,)), rows * columns * planes)
+    pattern = np.resize(numbers(page.tags, Tag.BlackLevel, (0.0,)), rows * columns * planes)
     pattern = pattern.reshape(rows, columns, planes).astype(np.float32)
     black = pattern[np.arange(height)[:, None] % rows, np.arange(width)[None] % columns]
     across, down = (
-        value(page, tag, (0.0,)).astype(np.float32)
+        numbers(page.tags, tag, (0.0,)).astype(np.float32)
         for tag in (Tag.BlackLevelDeltaH, Tag.BlackLevelDeltaV)
     )
     if len(across) not in (1, width) or len(down) not in (1, height):
         raise ValueError("black levels by row or column that do not fit")
     black = black + across[None, :, None] + down[:, None, None]
-    floating = int(page.sampleformat) == _FLOATING
+    floating = int(page.sampleformat) == FLOATING
     full = 1.0 if floating else float(2 ** int(page.bitspersample) - 1)
-    white = np.resize(value(page, Tag.WhiteLevel, (full,)), planes)
+    white = np.resize(numbers(page.tags, Tag.WhiteLevel, (full,)), planes)
     span = white - black.max(axis=(0, 1))
     if not (np.isfinite(span).all() and span.min() > 0.0):
         raise ValueError("white is not above black")
@@ -121,77 +204,6 @@ def in_order(stored: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
 
 
 @dataclass(frozen=True)
-class ValueMap:
-    """A MapTable or MapPolynomial opcode (DNG 1.7.1, chapter 7)."""
-
-    area: tuple[int, int, int, int]
-    """Top, left, bottom, right; the last two excluded."""
-    planes: tuple[int, int]
-    """First plane, and number of planes."""
-    pitch: tuple[int, int]
-    """Rows and columns between the samples that it applies to."""
-    numbers: NDArray[np.float64]
-    """Values in [0, 1] of a table, or coefficients of a polynomial."""
-    is_table: bool
-    """Whether it is a table."""
-
-    def apply(self, samples: NDArray[np.float32]) -> None:
-        """Map normalised samples (H, W, C) in place, clipped to [0, 1]."""
-        top, left, bottom, right = self.area
-        first, count = self.planes
-        down, across = self.pitch
-        place = np.s_[top:bottom:down, left:right:across, first : first + count]
-        inside = np.clip(samples[place], 0.0, 1.0).astype(np.float64)
-        if self.is_table:
-            last = len(self.numbers) - 1
-            mapped: Any = np.interp(inside * 65535.0, np.arange(last + 1), self.numbers)
-        else:
-            mapped = np.polynomial.polynomial.polyval(inside, self.numbers)
-        samples[place] = np.clip(mapped, 0.0, 1.0)
-
-
-def value_maps(data: bytes) -> tuple[ValueMap, ...]:
-    """The MapTable and MapPolynomial opcodes of an OpcodeList, in order.
-
-    Raises:
-        ValueError: the bytes are not an opcode list.
-    """
-    try:
-        (count,) = struct.unpack_from(">I", data)
-        maps, offset = [], 4
-        for _ in range(count):
-            opcode, _version, _flags, size = struct.unpack_from(">4I", data, offset)
-            if opcode in VALUE_MAPS:
-                maps.append(_value_map(opcode, data[offset + 16 : offset + 16 + size]))
-            offset += 16 + size
-    except struct.error as error:
-        raise ValueError("the opcode list is cut short") from error
-    return tuple(maps)
-
-
-def _value_map(opcode: int, payload: bytes) -> ValueMap:
-    *head, count = _AREA.unpack_from(payload)
-    is_table = opcode == _MAP_TABLE
-    if not is_table and count > _HIGHEST_DEGREE:
-        raise ValueError("a polynomial of too high a degree")
-    entries = count if is_table else count + 1
-    kind = ">u2" if is_table else ">f8"
-    if len(payload) < _AREA.size + entries * np.dtype(kind).itemsize or entries < 1:
-        raise ValueError("a map of values is cut short")
-    numbers = np.frombuffer(payload, kind, entries, _AREA.size).astype(np.float64)
-    if not np.isfinite(numbers).all() or min(head[6:8]) < 1:
-        raise ValueError("a map of values has invalid numbers")
-    area = (head[0], head[1], head[2], head[3])
-    return ValueMap(
-        area,
-        (head[4], head[5]),
-        (head[6], head[7]),
-        numbers / 65535.0 if is_table else numbers,
-        is_table,
-    )
-
-
-@dataclass(frozen=True)
 class Crop:
     """The part of the active area that is the picture."""
 
@@ -202,6 +214,14 @@ class Crop:
     centred: bool
     """Whether that is DefaultUserCrop itself."""
 
+    @property
+    def sizes(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(width, height) of `shown` and of `whole`."""
+        shown, whole = (
+            (right - left, bottom - top) for top, left, bottom, right in (self.shown, self.whole)
+        )
+        return shown, whole
+
 
 def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
     """The crop that a DNG states; None where it is all of the active area, or is not inside.
@@ -209,20 +229,16 @@ def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
     Args:
         tags: tags of the raw picture, and of the first page where it has none.
     """
-    area = _whole(page, Tag.ActiveArea, (0, 0, int(page.imagelength), int(page.imagewidth)))
+    area = _whole(page.tags, Tag.ActiveArea, (0, 0, int(page.imagelength), int(page.imagewidth)))
     height, width = area[2] - area[0], area[3] - area[1]
-    left, top = (
-        round(float(edge)) for edge in _numbers(tags.get(Tag.DefaultCropOrigin), (0.0, 0.0))
-    )
-    across, down = (
-        round(float(side))
-        for side in _numbers(tags.get(Tag.DefaultCropSize), (width - left, height - top))
-    )
+    left, top = np.rint(_known(tags, Tag.DefaultCropOrigin, (0.0, 0.0))).astype(int).tolist()
+    rest = (width - left, height - top)
+    across, down = np.rint(_known(tags, Tag.DefaultCropSize, rest)).astype(int).tolist()
     if not (min(top, left) >= 0 and min(across, down) > 0):
         return None
     if top + down > height or left + across > width:
         return None
-    edges = _numbers(tags.get(Tag.DefaultUserCrop), (0.0, 0.0, 1.0, 1.0))
+    edges = _known(tags, Tag.DefaultUserCrop, (0.0, 0.0, 1.0, 1.0))
     if not 0.0 <= edges[0] < edges[2] <= 1.0 or not 0.0 <= edges[1] < edges[3] <= 1.0:
         edges = np.array((0.0, 0.0, 1.0, 1.0))
     tall, wide = (max(0.5 - edges[i], edges[i + 2] - 0.5) for i in (0, 1))
@@ -235,35 +251,29 @@ def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
     return Crop(whole, shown, bool(off < 1e-3))
 
 
-def value(page: Any, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:  # noqa: ANN401
-    """(n,) values of a tag of a page; quotients of rationals."""
-    if tag not in page.tags:
-        return np.array(none, np.float64)
-    entry = page.tags[tag]
-    numbers = np.ravel(np.asarray(entry.value, np.float64))
-    if int(entry.dtype) in _RATIONALS:
-        numbers = numbers[0::2] / numbers[1::2]
-    return numbers
-
-
-def _numbers(entry: Any, none: tuple[float, ...]) -> NDArray[np.float64]:  # noqa: ANN401
-    """(n,) values of a TIFF tag, or `none` where it is absent or of another length."""
+def numbers(tags: Any, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:  # noqa: ANN401
+    """(n,) values of a tag among TIFF tags; quotients of rationals; `none` where it is absent."""
+    entry = tags.get(tag)
     if entry is None:
-        return np.array(none)
-    numbers = np.ravel(np.asarray(entry.value, np.float64))
-    if int(entry.dtype) in _RATIONALS and numbers.size % 2 == 0 and numbers[1::2].all():
-        numbers = numbers[0::2] / numbers[1::2]
-    fits = numbers.size == len(none) and np.isfinite(numbers).all()
-    return numbers if fits else np.array(none)
+        return np.array(none, np.float64)
+    values = np.ravel(np.asarray(entry.value, np.float64))
+    return values[0::2] / values[1::2] if int(entry.dtype) in _RATIONALS else values
 
 
-def _whole(page: Any, tag: int, none: tuple[int, ...]) -> list[int]:  # noqa: ANN401
-    return [int(number) for number in value(page, tag, none)]
+def _known(tags: Any, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:  # noqa: ANN401
+    """Values of a tag, or `none` where they are of another number, or not finite."""
+    with np.errstate(all="ignore"):
+        values = numbers(tags, tag, none)
+    return values if values.size == len(none) and np.isfinite(values).all() else np.array(none)
+
+
+def _whole(tags: Any, tag: int, none: tuple[int, ...]) -> list[int]:  # noqa: ANN401
+    return [int(number) for number in numbers(tags, tag, none)]
 
 
 def _factors(page: Any) -> tuple[int, int]:  # noqa: ANN401
     rows, columns = (
-        max(_whole(page, tag, (1,))[0], 1)
+        max(_whole(page.tags, tag, (1,))[0], 1)
         for tag in (Tag.RowInterleaveFactor, Tag.ColumnInterleaveFactor)
     )
     return rows, columns

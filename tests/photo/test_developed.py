@@ -475,7 +475,7 @@ def test_nan_is_refused(tmp_path, light, value):
     light[50, 60, 1] = value
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, light.astype(np.float32), photometric="rgb")
-    assert "NaN or infinite" in refuse(path).what
+    assert "NaN or infinity" in refuse(path).what
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])

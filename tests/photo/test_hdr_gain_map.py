@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,8 @@ from gain_map_files import apple_xmp, exif, hdrgm, iso, jpeg, maker_note, write
 from icc_files import matrix_profile, parametric
 
 from matcap.files.color import rec709_decode, srgb_decode
-from matcap.files.pixels import upright
-from matcap.photo import developed as lossy
-from matcap.photo.hdr_gain_map import of_jpeg
+from matcap.files.pixels import Pixels, upright
+from matcap.photo.hdr_gain_map import of_heic, of_jpeg
 from matcap.photo.load import load_photo
 
 LOW, HIGH, GAMMA, BASE_OFFSET, OFFSET = -0.3, 2.2, 1.5, 1 / 64, 1 / 32
@@ -183,11 +183,12 @@ def test_a_heic_gain_map_of_apple_is_rotated_with_its_base(tmp_path, gains, turn
     path = tmp_path / "a.heic"
     path.write_bytes(b"ftyp" + apple_xmp(4.0))
     stored = np.ascontiguousarray(np.rot90(gains, -1)) if turned else gains
-    gain_map = lossy._apple_map(path, stored, {}, (128, 96))
+    pixels = Pixels(path, np.zeros((96, 128, 3), np.uint8), {}, gain_map=stored)
+    gain_map = of_heic(path, pixels)
     np.testing.assert_array_equal(gain_map.codes[..., 0], gains)
     assert gain_map.headroom == pytest.approx(4.0)
     with pytest.raises(ValueError, match="8 bits"):
-        lossy._apple_map(path, stored.astype(np.uint16), {}, (128, 96))
+        of_heic(path, replace(pixels, gain_map=stored.astype(np.uint16)))
 
 
 @pytest.mark.skipif(importlib.util.find_spec("imagecodecs") is None, reason="needs imagecodecs")

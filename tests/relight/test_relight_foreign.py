@@ -431,13 +431,13 @@ def test_cmyk_and_truncated_pictures_are_named(plain):
     folder, pictures, _ = plain
     (folder / "a_Color.png").unlink()
     Image.fromarray(code(pictures["base"])).convert("CMYK").save(folder / "a_Color.tif")
-    with pytest.raises(MatcapError, match="colours are CMYK"):
+    with pytest.raises(MatcapError, match="CMYK colours is not supported"):
         read_foreign(folder)
     (folder / "a_Color.tif").unlink()
     Image.fromarray(code(pictures["base"])).save(folder / "a_Color.jpg")
     whole = (folder / "a_Color.jpg").read_bytes()
     (folder / "a_Color.jpg").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(MatcapError, match="truncated or corrupt"):
+    with pytest.raises(MatcapError, match="truncated or damaged"):
         read_foreign(folder)
 
 
