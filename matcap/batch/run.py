@@ -68,42 +68,51 @@ class Show(Protocol):
         """Show a message."""
 
 
-@dataclass
-class _Task:
-    entry: BatchEntry
-    job: BatchJob
+@dataclass(frozen=True)
+class Prepared:
+    """A batch that is ready to run."""
+
+    out: Path
+    """The output folder."""
+    settings: BatchSettings
+    """Settings of the batch."""
+    entries: Sequence[BatchEntry]
+    """All samples with their states."""
+    worker_bytes: int
+    """Upper bound of a worker's memory."""
+    workers: int
+    """Number of worker processes."""
+    card: Calibration | None = None
+    """Calibration from a card's photograph, or None."""
+
+    @property
+    def todo(self) -> list[BatchEntry]:
+        """The samples that are still to be captured."""
+        return [entry for entry in self.entries if entry.state == "todo"]
 
 
 class Batch:
     """One run over the samples of a batch.
 
     Args:
-        entries: the samples; their states are updated.
-        page: writes the index; called during the run and at its end.
-        card: calibration from a card's photograph, or None.
+        prepared: by prepare(); the states of its entries are updated.
+        run: workspace in the output folder.
     """
 
     def __init__(
-        self,
-        entries: Sequence[BatchEntry],
-        run: Run,
-        workers: BatchWorkers,
-        settings: BatchSettings,
-        policy: Policy,
-        show: Show,
-        page: Callable[[], None],
-        card: Calibration | None = None,
+        self, prepared: Prepared, run: Run, workers: BatchWorkers, policy: Policy, show: Show
     ) -> None:
-        self._entries, self._run, self._workers = entries, run, workers
-        self._settings, self._policy, self._show, self._page = settings, policy, show, page
-        self._waiting: deque[_Task] = deque()
-        for entry in (entry for entry in entries if entry.state == "todo"):
-            sample, detail = entry.sample, settings.capture.most_detail
-            of_sample = (sample.name, sample.photos, entry.identity)
-            job = BatchJob(*of_sample, settings, run, detail, card=card)
-            self._waiting.append(_Task(entry, job))
-        self._alone: deque[_Task] = deque()
-        self._tasks: dict[str, _Task] = {}
+        self._prepared, self._run, self._workers = prepared, run, workers
+        self._policy, self._show = policy, show
+        self._settings = settings = prepared.settings
+        self._entries = {entry.sample.name: entry for entry in prepared.entries}
+        detail, card = settings.capture.most_detail, prepared.card
+        self._waiting = deque(
+            BatchJob(e.sample.name, e.sample.photos, e.identity, settings, run, detail, card=card)
+            for e in prepared.todo
+        )
+        self._alone: deque[BatchJob] = deque()
+        self._running: dict[str, BatchJob] = {}
         self._stop = ""
         self._paged = time.monotonic()
 
@@ -138,94 +147,98 @@ class Batch:
                     self._happened(event)
                 if time.monotonic() - self._paged > _PAGE_EVERY:
                     self._page()
-                    self._paged = time.monotonic()
         except KeyboardInterrupt:
             self._stop = self._stop or "interrupted"
             raise
         finally:
             self._workers.close()
-            for entry in self._entries:
-                if entry.state == "todo":
-                    entry.state, entry.reason = "left", self._stop or "the batch ended early"
+            for entry in self._prepared.todo:
+                entry.state, entry.reason = "left", self._stop or "the batch ended early"
             self._page()
+
+    def _page(self) -> None:
+        """Write the index; a failure must not end the batch."""
+        try:
+            write_index(self._prepared.out, self._prepared.entries)
+        except MatcapError as error:
+            self._show.note(str(error))
+        self._paged = time.monotonic()
 
     def _fill(self) -> None:
         """Start jobs on all idle workers."""
-        alone = any(task.job.alone for task in self._tasks.values())
+        alone = any(job.alone for job in self._running.values())
         while self._waiting and not alone and self._workers.busy() < self._workers.size:
             self._begin(self._waiting.popleft())
         if self._alone and not self._waiting and not self._workers.busy():
             self._begin(self._alone.popleft())
 
-    def _begin(self, task: _Task) -> None:
+    def _begin(self, job: BatchJob) -> None:
         room = self._settings.outputs.room
         if shutil.disk_usage(self._run.out).free < room:
             self._stop = f"the disk has less than {room / 1e6:.0f} MB left"
             self._show.note(f"No further sample is started: {self._stop}. {_AGAIN}")
             return
-        self._show.started(task.entry)
-        self._tasks[task.job.name] = task
-        self._workers.start(task.job)
+        self._show.started(self._entries[job.name])
+        self._running[job.name] = job
+        self._workers.start(job)
 
     def _happened(self, event: Event) -> None:
-        task = self._tasks[event.job.name]
+        job, entry = self._running[event.job.name], self._entries[event.job.name]
         if event.kind == "progress":
-            self._show.progress(task.entry, event.value)
+            self._show.progress(entry, event.value)
             return
-        del self._tasks[event.job.name]
+        del self._running[job.name]
         if event.kind == "died":
-            self._died(task, event.value)
+            self._failed(job, _of_death(job.photos[0], event.value), again=True)
         elif isinstance(event.value, Failure):
-            self._failed(task, event.value)
+            self._failed(job, event.value)
         else:
-            task.entry.state, task.entry.record = "made", event.value
-            self._run.forget_failure(task.job.name)
-            self._show.ended(task.entry)
+            entry.state, entry.record = "made", event.value
+            self._run.forget_failure(job.name)
+            self._show.ended(entry)
 
-    def _died(self, task: _Task, code: int) -> None:
-        """Handle a worker's death: SIGKILL is taken for the system's out-of-memory killer."""
-        photo = task.entry.sample.photos[0]
-        if code == -signal.SIGKILL:
-            said = f"{photo}: the system killed the worker, probably because memory ran out"
-            failure = Failure("memory", f"{said}; lower --detail, --size or -j.")
-        else:
-            how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
-            said = f"{photo}: the worker process crashed ({how})"
-            failure = Failure("crash", f"{said}; report it, with the photograph.")
-        self._failed(task, failure, again=True)
-
-    def _failed(self, task: _Task, failure: Failure, *, again: bool = False) -> None:
-        following = self._following(task, failure, again)
+    def _failed(self, job: BatchJob, failure: Failure, *, again: bool = False) -> None:
+        following = self._following(job, failure, again)
         if following is not None:
-            self._show.note(f"{failure.sentence} Trying again{following[1]}.")
-            self._alone.append(following[0])
+            smaller = following.detail < job.detail
+            how = f"at a detail of {following.detail}" if smaller else "by itself"
+            self._show.note(f"{failure.sentence} Trying again {how}.")
+            self._alone.append(following)
             return
-        task.entry.state, task.entry.reason = "failed", failure.sentence
+        entry = self._entries[job.name]
+        entry.state, entry.reason = "failed", failure.sentence
         if failure.kind not in _FORGET:
-            about = {"identity": task.entry.identity, "reason": failure.sentence}
-            self._run.write_failure(task.job.name, about)
-        self._show.ended(task.entry)
+            about = {"identity": entry.identity, "reason": failure.sentence}
+            self._run.write_failure(job.name, about)
+        self._show.ended(entry)
         if failure.kind == "disk":
             self._stop = self._stop or "the disk is full"
             self._show.note(f"No further sample is started: the disk is full. {_AGAIN}")
         if self._policy.fail_fast:
             self._stop = self._stop or "a photograph failed before, and --fail-fast was given"
             self._workers.close()
-            self._tasks.clear()
+            self._running.clear()
 
-    def _following(self, task: _Task, failure: Failure, again: bool) -> tuple[_Task, str] | None:
-        """The next attempt and its description: alone, then at half the detail; None gives up."""
-        job = task.job
+    def _following(self, job: BatchJob, failure: Failure, again: bool) -> BatchJob | None:
+        """The next attempt: alone, then at half the detail; None gives up."""
         others = failure.kind == "memory" and self._workers.size > 1
         if failure.kind in ("memory", "crash") and not job.alone and (again or others):
-            return _Task(task.entry, replace(job, alone=True)), " by itself"
-        if failure.kind != "memory":
-            return None
+            return replace(job, alone=True)
         half = job.detail // 2
-        if half < _LEAST_DETAIL or job.detail < self._settings.capture.most_detail:
-            return None
-        smaller = replace(job, alone=True, detail=half)
-        return _Task(task.entry, smaller), f" at a detail of {half}"
+        first = job.detail == self._settings.capture.most_detail
+        if failure.kind == "memory" and half >= _LEAST_DETAIL and first:
+            return replace(job, alone=True, detail=half)
+        return None
+
+
+def _of_death(photo: Path, code: int) -> Failure:
+    """Why a worker has died: SIGKILL is taken for the system's out-of-memory killer."""
+    if code == -signal.SIGKILL:
+        said = f"{photo}: the system killed the worker, probably because memory ran out"
+        return Failure("memory", f"{said}; lower --detail, --size or -j.")
+    how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
+    said = f"{photo}: the worker process crashed ({how})"
+    return Failure("crash", f"{said}; report it, with the photograph.")
 
 
 def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCode:
@@ -245,29 +258,6 @@ def _unfit(entry: BatchEntry) -> bool:
 # A batch in two steps: prepare (list the samples and their states), then capture them.
 
 _SETS_SAID = 12  # most groups of photographs that are listed before a batch starts
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A batch that is ready to run."""
-
-    out: Path
-    """The output folder."""
-    settings: BatchSettings
-    """Settings of the batch."""
-    entries: Sequence[BatchEntry]
-    """All samples with their states."""
-    worker_bytes: int
-    """Upper bound of a worker's memory."""
-    workers: int
-    """Number of worker processes."""
-    card: Calibration | None = None
-    """Calibration from a card's photograph, or None."""
-
-    @property
-    def todo(self) -> list[BatchEntry]:
-        """The samples that are still to be captured."""
-        return [entry for entry in self.entries if entry.state == "todo"]
 
 
 def prepare(
@@ -342,15 +332,8 @@ def work_off(
         MatcapError: the output cannot be written, or the scheduler does not answer.
         KeyboardInterrupt: Ctrl-C; finished materials stay, the index is written.
     """
-    out, entries = prepared.out, prepared.entries
-
-    def page() -> None:
-        try:
-            write_index(out, entries)
-        except MatcapError as error:
-            show.note(str(error))  # a failed index must not end the batch
-
-    with open_run(out) as run:
+    entries = prepared.entries
+    with open_run(prepared.out) as run:
         show.expect(len(entries))
         for entry in entries:
             if entry.state != "todo":
@@ -360,8 +343,7 @@ def work_off(
             workers = Processes(prepared.workers, do_job, settle_threads)
         else:
             workers = Machines(scheduler, do_job, settle_threads)
-        settings, card = prepared.settings, prepared.card
-        Batch(entries, run, workers, settings, policy, show, page, card).go()
+        Batch(prepared, run, workers, policy, show).go()
     return exit_code(entries, strict=policy.strict)
 
 

@@ -1,13 +1,11 @@
-"""Read environment maps: latitude-longitude EXR or Radiance HDR, or cube maps in EXR.
+"""Read environment maps: latitude-longitude EXR or Radiance HDR.
 
-The result is latitude-longitude, linear Rec.709 radiance, converted from the primaries that the
-file states. Pixels outside of an EXR file's data window are black. An EXR file is a cube map if its
-`envmap` attribute says so; it is resampled. Code values (PNG, JPEG) are decoded, with a note.
+The result is linear Rec.709 radiance, converted from the primaries that the file states. Pixels
+outside of an EXR file's data window are black. Code values (PNG, JPEG) are decoded, with a note.
 """
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +37,8 @@ def read_picture(path: Path) -> EnvironmentPicture:
     if not path.is_file():
         raise MatcapError.at(where, "no such file", "check the path")
     pixels = read_pixels(path, outside=0.0)
+    if pixels.surroundings == _CUBE:
+        raise MatcapError.at(where, "is a cube map, of six faces", _REMEDY)
     picture, notes = linear_colours(pixels)
     for sentence in (*pixels.notes, *notes):
         note(f"{where}: {sentence}")
@@ -47,8 +47,6 @@ def read_picture(path: Path) -> EnvironmentPicture:
     if pixels.partial:
         note(f"{where}: the file holds a part of its picture (its data window); the rest is black")
     picture = _radiance(np.asarray(picture, np.float32), where)
-    if pixels.surroundings == _CUBE:
-        return _from_cube(picture, where)
     height, width = picture.shape[:2]
     if max(width, height) > _SMALLEST and abs(width / (2.0 * height) - 1.0) > _SHAPE:
         raise MatcapError.at(
@@ -103,43 +101,3 @@ def _looks_like(width: int, height: int) -> str:
     }
     near = (what for ratio, what in usual.items() if abs(width / height / ratio - 1.0) < 0.01)
     return next(near, "")
-
-
-def _from_cube(cube: EnvironmentPicture, where: str) -> EnvironmentPicture:
-    """Resample a cube map, (6 n, n, 3), to latitude-longitude, (2 n, 4 n, 3).
-
-    Faces stand one below the other as OpenEXR's ImfEnvmap has them: +X, -X, +Y, -Y, +Z, -Z. Centres
-    of border pixels lie on the cube's edges.
-    """
-    import cv2
-
-    side = cube.shape[1]
-    if side < 2 or cube.shape[0] != 6 * side:
-        raise MatcapError.at(
-            where,
-            f"calls itself a cube map and is {side} x {cube.shape[0]} pixels, not 1 : 6",
-            _REMEDY,
-        )
-    polar = ((np.arange(2 * side) + 0.5) * math.pi / (2 * side))[:, None]
-    azimuth = (((np.arange(4 * side) + 0.5) / (4 * side) - 0.5) * 2.0 * math.pi)[None, :]
-    x, y = -np.sin(azimuth) * np.sin(polar), np.cos(polar) + 0.0 * azimuth
-    z = np.cos(azimuth) * np.sin(polar)
-    ax, ay, az = np.abs(x), np.abs(y), np.abs(z)
-    on_x, on_y = (ax >= ay) & (ax >= az), (ay >= az) & ~((ax >= ay) & (ax >= az))
-    # For each face: directions that meet it, the place on it (column, row in [-1, 1], scaled by
-    # the last entry).
-    faces = (
-        (on_x & (x > 0.0), z, -y, ax),
-        (on_x & (x <= 0.0), -z, -y, ax),
-        (on_y & (y > 0.0), x, -z, ay),
-        (on_y & (y <= 0.0), x, z, ay),
-        (~on_x & ~on_y & (z > 0.0), -x, -y, az),
-        (~on_x & ~on_y & (z <= 0.0), x, -y, az),
-    )
-    picture = np.zeros((2 * side, 4 * side, 3), np.float32)
-    for index, (seen, column, row, far) in enumerate(faces):
-        face = np.ascontiguousarray(cube[index * side : (index + 1) * side])
-        at = [((one / far + 1.0) * (0.5 * (side - 1))).astype(np.float32) for one in (column, row)]
-        looked_up = cv2.remap(face, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        picture[seen] = looked_up[seen]
-    return picture

@@ -1,6 +1,5 @@
 """Pictures of surroundings as cameras, renderers and libraries write them."""
 
-import math
 import struct
 
 import numpy as np
@@ -78,7 +77,7 @@ def test_radiance_files_in_xyz_are_converted(tmp_path):
 def test_damaged_radiance_files_are_refused(tmp_path, line, resolution):
     more = {"resolution": resolution} if resolution else {}
     file = radiance(tmp_path / "a.hdr", PICTURE, *[line] * bool(line), **more)
-    with pytest.raises(MatcapError, match=r"damaged|larger than"):
+    with pytest.raises(MatcapError, match=r"damaged|more than can be read"):
         read_picture(file)
 
 
@@ -126,25 +125,6 @@ def test_primaries_are_converted(tmp_path):
     np.testing.assert_allclose(found[0, 0], [1.3486, 0.4398, 0.2113], atol=2e-3)
 
 
-def cube_of(radiance_along, side):
-    """(6 n, n, 3) faces as OpenEXR's ImfEnvmap.h places them."""
-    grid = np.linspace(-1.0, 1.0, side)
-    right, up = np.meshgrid(grid, grid[::-1])
-    one = np.ones_like(right)
-    faces = (
-        (one, up, right), (-one, up, -right),
-        (right, one, up), (right, -one, -up),
-        (-right, up, one), (right, up, -one),
-    )  # fmt: skip
-    towards = np.concatenate([np.stack(face, axis=-1) for face in faces])
-    return radiance_along(towards / np.linalg.norm(towards, axis=-1, keepdims=True))
-
-
-def smooth(towards):
-    """Radiance of another colour along each axis, and other behind than in front."""
-    return (2.0 + towards + 0.5 * towards**2).astype(np.float32)
-
-
 def as_cube(file):
     """The attribute envmap, which OpenEXR's Python cannot write, in place of another as long."""
     whole = file.read_bytes()
@@ -152,18 +132,6 @@ def as_cube(file):
     assert whole.count(stand_in) == 1
     file.write_bytes(whole.replace(stand_in, b"envmap\0envmap\0" + struct.pack("<I", 1) + b"\1"))
     return file
-
-
-def test_cube_maps_are_looked_up_by_direction(tmp_path):
-    file = as_cube(exr(tmp_path / "a.exr", cube_of(smooth, 32), xxxxxx="A"))
-    found = read_picture(file)
-    polar = ((np.arange(64) + 0.5) / 64 * math.pi)[:, None]
-    azimuth = (((np.arange(128) + 0.5) / 128 - 0.5) * 2.0 * math.pi)[None]
-    ring = np.sin(polar)
-    towards = np.stack(
-        np.broadcast_arrays(-np.sin(azimuth) * ring, np.cos(polar), np.cos(azimuth) * ring), -1
-    )
-    np.testing.assert_allclose(found, smooth(towards), atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -174,5 +142,5 @@ def test_other_projections_are_refused_and_named(tmp_path, size, what):
     write_exr(tmp_path / "a.exr", np.ones((size[1], size[0], 3), np.float32), half=True)
     with pytest.raises(MatcapError, match=what):
         read_picture(tmp_path / "a.exr")
-    with pytest.raises(MatcapError, match="not 1 : 6"):
+    with pytest.raises(MatcapError, match="a cube map"):
         read_picture(as_cube(exr(tmp_path / "b.exr", np.ones((5, 4, 3)), xxxxxx="A")))

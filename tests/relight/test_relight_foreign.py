@@ -21,7 +21,7 @@ from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.exr import write_exr
 from matcap.files.names import Note
 from matcap.files.pixels import PNG_HEADER, png_chunk
-from matcap.relight.foreign.read import read_channels, read_foreign
+from matcap.relight.foreign.read import read_foreign
 from matcap.relight.texture import Texture
 
 # Map sets of others, written here from a material that is known.
@@ -536,7 +536,7 @@ def test_a_sidecar_of_another_version_or_without_one_is_noted(tmp_path):
         read_foreign(tmp_path)
     sidecar.write_text(stated[:100])
     with pytest.warns(Note, match="not readable as JSON"):
-        by_names = read_channels(tmp_path)
+        by_names = read_foreign(tmp_path)
     assert by_names.files["roughness"] == "leather_orm.png"
 
 
@@ -643,4 +643,4 @@ def test_jpegs_with_other_suffixes_are_read(plain, suffix):
     (folder / "a_Color.png").unlink()
     Image.fromarray(code(pictures["base"])).save(folder / "a.jpg", quality=95)
     (folder / "a.jpg").rename(folder / f"a_Color.{suffix}")
-    assert read_channels(folder).files["base"] == f"a_Color.{suffix}"
+    assert read_foreign(folder).files["base"] == f"a_Color.{suffix}"

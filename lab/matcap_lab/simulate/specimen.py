@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from matcap.brdf.maps import HEIGHT, SURFACE, MapSet, integrate_periodic
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
-from matcap.relight.foreign.read import metallic_of, read_channels
+from matcap.relight.foreign.names import assigned
+from matcap.relight.foreign.read import ForeignMaps, metallic_of
 from matcap_lab.simulate.files import PHONE, write_dng, write_jpeg
 from matcap_lab.simulate.kinds import kind_of, kinds_known
 from matcap_lab.simulate.named import realise
@@ -249,21 +250,22 @@ def read_surface(folder: Path) -> tuple[Floats, Floats]:
     Raises:
         MatcapError: base colour, normal or roughness is missing, or cannot be read.
     """
-    channels = read_channels(folder, normal="gl")
-    missing = [k for k in ("roughness", "slopes") if getattr(channels, k) is None]
+    maps = ForeignMaps.of(assigned(folder))
+    missing = [kind for kind in ("base", "roughness", "normal") if kind not in maps.files]
     if missing:
         raise MatcapError.at(
             folder,
             f"there is no map of {missing[0]} that can be read",
             "give a folder with basecolor, normal and roughness",
         )
-    assert channels.roughness is not None and channels.slopes is not None
-    metallic = channels.metallic
+    base, roughness = maps.colour("base"), maps.scalar("roughness")
+    slopes, metallic = maps.slopes(None, 1.0, "gl"), maps.scalar("metallic")
+    assert base is not None and roughness is not None and slopes is not None
     if metallic is None:
         bare = folder.name in bare_metals(folder.parent / "manifest.json")
-        metallic = np.full_like(channels.roughness, float(bare))
-    both = metallic_of(channels.base, metallic)
-    return np.concatenate([both, channels.roughness, metallic]), channels.slopes
+        metallic = np.full_like(roughness, float(bare))
+    both = metallic_of(base, metallic)
+    return np.concatenate([both, roughness, metallic]), slopes
 
 
 def map_set_folders(folder: Path) -> list[Path]:

@@ -6,6 +6,7 @@ import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -174,7 +175,24 @@ def _constant(plane: Array) -> bool:
     return bool(float(plane.max()) - float(plane.min()) < _STEP)
 
 
-# Read the maps of another program's set: decoded, one size, missing ones None (see read.py).
+# Map sets of other programs as a texture to relight.
+#
+# - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic. -
+# Specular workflow (specular and gloss without metallic): the specular map is F0. - Height maps
+# have no unit: they are scaled to fit the normal map's slopes by least squares. Without a height
+# map the normal map is integrated (brdf/maps.py). - A set is two plane units wide, unless it
+# is matcap's export, whose sidecar states the size.
+
+_LEVEL = 0.08  # F0 of specular level 1 [burley2012]
+# Height range over width, assumed without a normal map.
+_ASSUMED_RELIEF = 0.02
+_METALS = frozenset(
+    ("metal", "steel", "iron", "gold", "silver", "copper", "brass", "bronze", "chrome", "aluminium",
+     "aluminum", "titanium", "zinc", "tin")
+)  # fmt: skip
+_COLOURED_SHARE = 0.01  # of texels from which on a specular map is coloured
+_FLAT = 1e-6  # relative range below which a height map is flat
+
 
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
 _COLOURED = 0.02  # mean difference between channels above which a picture is coloured
@@ -183,49 +201,18 @@ _SHAPE = 0.02  # largest relative difference of the maps' aspect ratios
 
 
 @dataclass(frozen=True)
-class SetChannels:
-    """The maps of a set, float32 and all of one size; None where the set lacks one."""
+class Foreign:
+    """A map set read for relighting."""
 
-    base: Array
-    """(3, H, W) base colour, or diffuse albedo in sets with F0; linear Rec.709, [0, 1]."""
-    roughness: Array | None
-    """(1, H, W) perceptual; of its own map, or 1 - gloss."""
-    metallic: Array | None
-    """(1, H, W), [0, 1]."""
-    specular: Array | None
-    """(3, H, W) F0, linear."""
-    level: Array | None
-    """(1, H, W) specular level: F0 of dielectrics over 0.08."""
-    dielectric: float
-    """F0 of dielectrics where there is no `level`."""
-    height: Array | None
-    """(1, H, W); in plane units if `exact`, else as stored."""
-    whole: bool
-    """Heights are stored as integers, here [0, 1] of their range."""
-    slopes: Array | None
-    """(2, H, W) dh/dx and dh/dy of the normal map, y up."""
-    texel: float
-    """A texel's side in plane units."""
-    exact: bool
-    """Heights and texel have stated units, not assumed ones."""
-    conserving: bool
-    """Diffuse albedo is base (1 - F0)."""
-    periodic: bool
-    """Whether the maps tile seamlessly."""
+    texture: Texture
+    """The material."""
     notes: tuple[str, ...]
     """What was guessed or not used, a sentence each."""
     files: Mapping[str, str]
     """File names by map."""
-    diffuse: bool = False
-    """The base colour's name says diffuse."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
-        return self.base.shape[1], self.base.shape[2]
 
 
-def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> SetChannels:
+def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Foreign:
     """Read the maps in a folder, by their file names or by the sidecar of matcap's export.
 
     Args:
@@ -233,7 +220,7 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
 
     Raises:
         MatcapError: no folder, no base colour in it, two files for one map, maps of different
-            aspect ratios, a picture that cannot be read or used.
+            aspect ratios, a picture that cannot be read or used; as check_heights.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -257,7 +244,11 @@ def read_channels(folder: str | Path, *, normal: NormalStyle | None = None) -> S
                 if inside
                 else "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
             )
-        return _Set(about, dict(about.files), left_out=[*about.left_out]).channels(normal)
+        maps = ForeignMaps.of(about)
+        texture = maps.texture(normal)
+    check_heights(texture.height, str(folder))
+    files = {kind: file.path.name for kind, file in maps.files.items()}
+    return Foreign(texture, tuple(maps.notes), files)
 
 
 def _folders_of_maps(folder: Path) -> list[str]:
@@ -272,7 +263,7 @@ def _folders_of_maps(folder: Path) -> list[str]:
 
 
 @dataclass
-class _Set:
+class ForeignMaps:
     """A set while it is read; each file is opened once."""
 
     about: SetFiles
@@ -282,49 +273,38 @@ class _Set:
     left_out: list[str]
     """Files that are not used, with the reason."""
     notes: list[str] = field(default_factory=list)
-    """As in SetChannels."""
+    """What was guessed or not used, a sentence each."""
     _opened: dict[Path, Pixels] = field(default_factory=dict)
 
-    def channels(self, normal: NormalStyle | None) -> SetChannels:
-        """All maps, with notes."""
-        about = self.about
-        self._leave_out_what_is_not_there()
-        self._judge_height()
+    @staticmethod
+    def of(about: SetFiles) -> ForeignMaps:
+        """The usable maps of these files."""
+        maps = ForeignMaps(about, dict(about.files), left_out=[*about.left_out])
+        maps._leave_out_what_is_not_there()
+        maps._judge_height()
+        return maps
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of all maps once they are read: the largest's."""
         sizes = [self._pixels(k).size for k in ("base", "normal", "height") if k in self.files]
-        size = max(sizes, key=lambda one: one[0] * one[1])
-        texel = 2.0 / size[0] if about.texel is None else about.texel
-        scalars = {kind: self._scalar(kind, size) for kind in ("roughness", "gloss", "metallic")}
-        height, whole = self._height(size)
-        base = self._colour("base", size)
-        assert base is not None
-        roughness = self._roughness(scalars)
-        specular = self._colour("specular", size)
-        if specular is not None and about.f0 is not None:
-            specular = np.minimum(specular * np.float32(about.f0), np.float32(1.0))
-        level = self._scalar("specular level", size)
-        slopes = self._slopes(size, height, texel, normal)
-        # F0 with gloss in alpha is Unity's and glTF's, which use base (1 - F0).
-        packed = "specular" in self.files and "gloss" in self.files["specular"].channels
+        return max(sizes, key=lambda one: one[0] * one[1])
+
+    def texture(self, normal: NormalStyle | None) -> Texture:
+        """The material, with notes."""
+        roughness = self._roughness()
+        diffuse, specular = self._reflectance()
+        texel = 2.0 / self.size[0] if self.about.texel is None else self.about.texel
+        height, slopes = self._relief(texel, normal)
         if self.left_out:
             self.notes.append(f"not used: {', '.join(self.left_out)}")
-        return SetChannels(
-            base=base,
-            roughness=roughness,
-            metallic=scalars["metallic"],
-            specular=specular,
-            level=level,
-            dielectric=DIELECTRIC if about.f0 is None else about.f0,
-            height=height,
-            whole=whole,
-            slopes=slopes,
-            texel=texel,
-            exact=about.texel is not None,
-            conserving=about.conserving or packed,
-            periodic=about.periodic,
-            notes=tuple(self.notes),
-            files={kind: file.path.name for kind, file in self.files.items()},
-            diffuse=self.files["base"].diffuse,
-        )
+        maps = (diffuse, specular, roughness, height, slopes)
+        a, b, c, d, e = (np.ascontiguousarray(one, dtype=np.float32) for one in maps)
+        return Texture(a, b, c, d, e, texel, self.about.periodic)
+
+    def _uniform(self, value: float) -> Array:
+        """(1, H, W) of one value."""
+        return np.full((1, *self.size[::-1]), value, np.float32)
 
     def _pixels(self, kind: str) -> Pixels:
         path = self.files[kind].path
@@ -355,7 +335,7 @@ class _Set:
         self.files["normal"] = NamedFile(file.path, {"normal": "RGB"})
         self.notes.append(f"{file.path.name} is read as a normal map, by its colours")
 
-    def _colour(self, kind: str, size: tuple[int, int]) -> Array | None:
+    def colour(self, kind: str) -> Array | None:
         """(3, H, W) linear Rec.709, clipped to [0, 1]."""
         if kind not in self.files:
             return None
@@ -366,41 +346,113 @@ class _Set:
             opaque = float(pixels.channel("A").min()) >= 0.999
             if not opaque:
                 self.notes.append(f"{pixels.path.name}: its transparency is not used")
-        return self._fitted(self._clipped(np.moveaxis(colours, -1, 0), pixels), size, pixels)
+        return self._fitted(self._clipped(np.moveaxis(colours, -1, 0), pixels), pixels)
 
-    def _scalar(self, kind: str, size: tuple[int, int]) -> Array | None:
+    def scalar(self, kind: str) -> Array | None:
         """(1, H, W) of the map's channel, clipped to [0, 1]."""
         if kind not in self.files:
             return None
         pixels, role = self._pixels(kind), self.files[kind].channels[kind]
         self._note_colours(pixels, self.files[kind])
-        return self._fitted(self._clipped(pixels.channel(role)[None], pixels), size, pixels)
+        return self._fitted(self._clipped(pixels.channel(role)[None], pixels), pixels)
 
-    def _height(self, size: tuple[int, int]) -> tuple[Array | None, bool]:
+    def _roughness(self) -> Array:
+        """(1, H, W) of its own map, else 1 - gloss, else 0.5."""
+        roughness, gloss = self.scalar("roughness"), self.scalar("gloss")
+        if roughness is not None:
+            paths = (file.path for kind, file in self.files.items() if kind != "gloss")
+            if gloss is not None and self.files["gloss"].path not in paths:
+                self.left_out.append(f"{self.files['gloss'].path.name} (roughness is taken)")
+            return roughness
+        if gloss is None:
+            self.notes.append("no roughness map: 0.5 everywhere")
+            return self._uniform(0.5)
+        return 1.0 - gloss
+
+    def _reflectance(self) -> tuple[Array, Array]:
+        """(3, H, W) diffuse albedo and (1 or 3, H, W) F0."""
+        about, exact = self.about, self.about.texel is not None
+        base, metallic = self.colour("base"), self.scalar("metallic")
+        assert base is not None
+        specular, level = self.colour("specular"), self.scalar("specular level")
+        if specular is not None and about.f0 is not None:
+            specular = np.minimum(specular * np.float32(about.f0), np.float32(1.0))
+        name = self.files["specular"].path.name if "specular" in self.files else ""
+        glossy = "gloss" in self.files and metallic is None
+        coloured = self.files["base"].diffuse and metallic is None and _is_coloured(specular)
+        if specular is not None and (exact or glossy or coloured):
+            if not exact:
+                why = "the set has gloss" if glossy else "it is coloured, beside a diffuse map"
+                self.notes.append(f"{name} is read as F0, since {why}")
+            # F0 with gloss in alpha is Unity's and glTF's, which use base (1 - F0).
+            if about.conserving or "gloss" in self.files["specular"].channels:
+                base = base * (1.0 - specular.max(axis=0, keepdims=True))
+            grey = np.ptp(specular, axis=0).max() < 1e-6
+            return base, specular[:1] if grey else specular
+        if specular is not None:
+            self.notes.append(f"not used: {name} (F0 of dielectrics is 0.04)")
+        dielectric = DIELECTRIC if about.f0 is None else about.f0
+        plain = dielectric if level is None else _LEVEL * level
+        if metallic is None:
+            if _METALS & set(re.findall("[a-z]+", self.files["base"].path.name.lower())):
+                said = "no metallic map: read as dielectric, though its name is a metal's"
+                self.notes.append(said)
+            metallic = self._uniform(0.0)
+        both = metallic_of(base, metallic, plain)
+        return both[:3], both[3:] if metallic.any() else both[3:4]
+
+    def _relief(self, texel: float, style: NormalStyle | None) -> tuple[Array, Array]:
+        """(1, H, W) heights and (2, H, W) slopes of the shading normal."""
+        height, whole = self._height()
+        slopes = self.slopes(height, texel, style)
+        if height is None:
+            if slopes is not None:
+                self.notes.append("no height map: the normal map was integrated")
+                return integrate_periodic(slopes, texel), slopes
+            self.notes.append("neither normal nor height map: the surface is flat")
+            return self._uniform(0.0), self._uniform(0.0).repeat(2, axis=0)
+        if np.ptp(height) <= _FLAT * max(1.0, float(np.abs(height).max())):
+            self.notes.append(f"the height map is flat ({self.files['height'].path.name})")
+            height = np.zeros_like(height)
+        elif self.about.texel is not None:  # in stated units
+            pass
+        elif slopes is not None:
+            height = height * _scale(height, slopes, texel, self.notes)
+        else:
+            span = 1.0 if whole else float(np.ptp(height))
+            height = height * np.float32(_ASSUMED_RELIEF * 2.0 / span)
+            self.notes.append(
+                f"no normal map: the heights are assumed to span {_ASSUMED_RELIEF:g} of the width"
+            )
+        return height, gradient(height, texel) if slopes is None else slopes
+
+    def _height(self) -> tuple[Array | None, bool]:
+        """(1, H, W), in plane units where the sidecar states them; and whether it is of integers,
+        here [0, 1] of their range.
+        """
         if "height" not in self.files:
             return None, False
         pixels, file = self._pixels("height"), self.files["height"]
         self._note_colours(pixels, file)
-        height = self._fitted(pixels.channel(file.channels["height"])[None], size, pixels)
+        height = self._fitted(pixels.channel(file.channels["height"])[None], pixels)
         if self.about.height is not None:
             scale, midlevel = self.about.height
             height = (height - np.float32(midlevel)) * np.float32(scale)
         return height, pixels.whole
 
-    def _slopes(
-        self, size: tuple[int, int], height: Array | None, texel: float, style: NormalStyle | None
-    ) -> Array | None:
+    def slopes(self, height: Array | None, texel: float, style: NormalStyle | None) -> Array | None:
+        """(2, H, W) dh/dx and dh/dy of the normal map, y up."""
         if "normal" not in self.files:
             return None
         file, pixels = self.files["normal"], self._pixels("normal")
         raw_slopes, notes = slopes_of(pixels)
         self.notes += notes
-        slopes = self._fitted(raw_slopes, size, pixels)
+        slopes = self._fitted(raw_slopes, pixels)
         if style is not None and file.style not in ("", style):
             self.notes.append(
                 f"{file.path.name}: its name says {file.style}, so --normal {style} is not used"
             )
-        named: NormalStyle | None = "gl" if file.style == "gl" else "dx" if file.style else style
+        named = file.style or style
         if named is None:
             rise = None if height is None else gradient(height, texel)
             named = style_of(slopes, rise, usual_style(self.files.values()))
@@ -408,18 +460,7 @@ class _Set:
                 f"{file.path.name} does not say which way green points: assumed +Y "
                 f"{'up (gl)' if named == 'gl' else 'down (dx)'}; --normal sets it"
             )
-        return (
-            slopes if named == "gl" else slopes * np.array([1.0, -1.0], np.float32)[:, None, None]
-        )
-
-    def _roughness(self, scalars: Mapping[str, Array | None]) -> Array | None:
-        if scalars["roughness"] is not None:
-            if scalars["gloss"] is not None and self.files["gloss"].path not in (
-                self.files[kind].path for kind in self.files if kind != "gloss"
-            ):
-                self.left_out.append(f"{self.files['gloss'].path.name} (roughness is taken)")
-            return scalars["roughness"]
-        return None if scalars["gloss"] is None else 1.0 - scalars["gloss"]
+        return slopes * np.array([1.0, 1.0 if named == "gl" else -1.0], np.float32)[:, None, None]
 
     def _note_colours(self, pixels: Pixels, file: NamedFile) -> None:
         if len(file.channels) > 1 or pixels.grey or "B" not in pixels.roles:
@@ -436,7 +477,7 @@ class _Set:
                 self.notes.append(f"{pixels.path.name}: values outside of 0 to 1 are clipped")
         return clipped
 
-    def _fitted(self, values: Array, size: tuple[int, int], pixels: Pixels) -> Array:
+    def _fitted(self, values: Array, pixels: Pixels) -> Array:
         """(C, H, W) resampled to the set's (width, height): area mean down, bilinear up.
 
         Raises:
@@ -444,7 +485,7 @@ class _Set:
         """
         import cv2
 
-        width, height = values.shape[2], values.shape[1]
+        size, (height, width) = self.size, values.shape[1:]
         if (width, height) == size:
             return np.ascontiguousarray(values, dtype=np.float32)
         if min(width, height) > 1 and abs(width * size[1] / (height * size[0]) - 1.0) > _SHAPE:
@@ -479,89 +520,10 @@ def _read(path: Path, grid: tuple[int, int] | None, wanted: tuple[str, ...]) -> 
     return replace(first, stored=whole)
 
 
-# Map sets of other programs as a texture to relight.
-#
-# - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic. -
-# Specular workflow (specular and gloss without metallic): the specular map is F0. - Height maps
-# have no unit: they are scaled to fit the normal map's slopes by least squares. Without a height
-# map the normal map is integrated (brdf/maps.py). - A set is two plane units wide, unless it
-# is matcap's export, whose sidecar states the size.
-#
-# names.py recognises files, read.py reads them.
-
-_LEVEL = 0.08  # F0 of specular level 1 [burley2012]
-# Height range over width, assumed without a normal map.
-_ASSUMED_RELIEF = 0.02
-_METALS = frozenset(
-    ("metal", "steel", "iron", "gold", "silver", "copper", "brass", "bronze", "chrome", "aluminium",
-     "aluminum", "titanium", "zinc", "tin")
-)  # fmt: skip
-_COLOURED_SHARE = 0.01  # of texels from which on a specular map is coloured
-_FLAT = 1e-6  # relative range below which a height map is flat
-
-
-@dataclass(frozen=True)
-class Foreign:
-    """A map set read for relighting."""
-
-    texture: Texture
-    """The material."""
-    notes: tuple[str, ...]
-    """What was guessed or not used, a sentence each."""
-
-
-def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Foreign:
-    """Read a map set.
-
-    Args:
-        normal: direction of the normal map's green where no name states it: "gl" up, "dx" down.
-
-    Raises:
-        MatcapError: as read_channels and check_heights.
-    """
-    channels = read_channels(folder, normal=normal)
-    notes = list(channels.notes)
-    roughness = channels.roughness
-    if roughness is None:
-        roughness = np.full((1, *channels.shape), 0.5, dtype=np.float32)
-        notes.append("no roughness map: 0.5 everywhere")
-    diffuse, specular = _reflectance(channels, notes)
-    height, slopes = _relief(channels, notes)
-    check_heights(height, str(folder))
-    maps = (diffuse, specular, roughness, height, slopes)
-    a, b, c, d, e = (np.ascontiguousarray(one, dtype=np.float32) for one in maps)
-    texture = Texture(a, b, c, d, e, channels.texel, channels.periodic)
-    return Foreign(texture, tuple(notes))
-
-
 def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELECTRIC) -> Array:
     """(6, H, W) diffuse albedo and F0 of base colour (3, H, W) and metallic (1, H, W)."""
     specular = dielectric * (1.0 - metallic) + base * metallic
     return np.concatenate([base * (1.0 - metallic), specular])
-
-
-def _reflectance(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
-    """(3, H, W) diffuse albedo and (1 or 3, H, W) F0."""
-    base, metallic, specular = channels.base, channels.metallic, channels.specular
-    glossy = "gloss" in channels.files and metallic is None
-    coloured = channels.diffuse and metallic is None and _is_coloured(specular)
-    if specular is not None and (channels.exact or glossy or coloured):
-        if not channels.exact:
-            why = "the set has gloss" if glossy else "it is coloured, beside a diffuse map"
-            notes.append(f"{channels.files['specular']} is read as F0, since {why}")
-        if channels.conserving:
-            base = base * (1.0 - specular.max(axis=0, keepdims=True))
-        grey = np.ptp(specular, axis=0).max() < 1e-6
-        return base, specular[:1] if grey else specular
-    if specular is not None:
-        notes.append(f"not used: {channels.files['specular']} (F0 of dielectrics is 0.04)")
-    plain = channels.dielectric if channels.level is None else _LEVEL * channels.level
-    if metallic is None:
-        if _METALS & set(re.findall("[a-z]+", channels.files["base"].lower())):
-            notes.append("no metallic map: read as dielectric, though its name is a metal's")
-        metallic = np.zeros((1, *channels.shape), dtype=np.float32)
-    both = metallic_of(base, metallic, plain)
-    return both[:3], both[3:] if metallic.any() else both[3:4]
 
 
 def _is_coloured(specular: Array | None) -> bool:
@@ -569,31 +531,6 @@ def _is_coloured(specular: Array | None) -> bool:
     if specular is None:
         return False
     return float((np.ptp(specular, axis=0) > _COLOURED).mean()) > _COLOURED_SHARE
-
-
-def _relief(channels: SetChannels, notes: list[str]) -> tuple[Array, Array]:
-    """(1, H, W) heights and (2, H, W) slopes of the shading normal."""
-    height, slopes, texel = channels.height, channels.slopes, channels.texel
-    if height is not None and np.ptp(height) <= _FLAT * max(1.0, float(np.abs(height).max())):
-        notes.append(f"the height map is flat ({channels.files['height']})")
-        height = np.zeros_like(height)
-        return height, np.zeros((2, *channels.shape), np.float32) if slopes is None else slopes
-    if height is not None and channels.exact:
-        return height, gradient(height, texel) if slopes is None else slopes
-    if height is not None and slopes is not None:
-        return height * _scale(height, slopes, texel, notes), slopes
-    if height is not None:
-        span = 1.0 if channels.whole else float(np.ptp(height))
-        height = height * np.float32(_ASSUMED_RELIEF * 2.0 / span)
-        notes.append(
-            f"no normal map: the heights are assumed to span {_ASSUMED_RELIEF:g} of the width"
-        )
-        return height, gradient(height, texel)
-    if slopes is not None:
-        notes.append("no height map: the normal map was integrated")
-        return integrate_periodic(slopes, texel), slopes
-    notes.append("neither normal nor height map: the surface is flat")
-    return np.zeros((1, *channels.shape), np.float32), np.zeros((2, *channels.shape), np.float32)
 
 
 def _scale(height: Array, slopes: Array, texel: float, notes: list[str]) -> np.float32:
