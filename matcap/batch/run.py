@@ -19,14 +19,15 @@ from matcap.batch.work import (
     BatchJob,
     Failure,
     Policy,
-    Run,
     do_job,
+    forget_failure,
     largest_worker,
     make_plan,
     open_run,
     pool_size,
     read_record,
     settle_threads,
+    write_failure,
 )
 from matcap.batch.worker_pool import BatchWorkers, Event, Machines, Processes
 from matcap.capture.settings import resolve
@@ -96,20 +97,19 @@ class Batch:
 
     Args:
         prepared: by prepare(); the states of its entries are updated.
-        run: workspace in the output folder.
     """
 
     def __init__(
-        self, prepared: Prepared, run: Run, workers: BatchWorkers, policy: Policy, show: Show
+        self, prepared: Prepared, workers: BatchWorkers, policy: Policy, show: Show
     ) -> None:
-        self._prepared, self._run, self._workers = prepared, run, workers
+        self._prepared, self._out, self._workers = prepared, prepared.out, workers
         self._policy, self._show = policy, show
         self._settings = settings = prepared.settings
         self._entries = {entry.sample.name: entry for entry in prepared.entries}
-        detail, card = settings.capture.most_detail, prepared.card
+        rest = (settings, self._out, settings.capture.most_detail, False, prepared.card)
         self._waiting = deque(
-            BatchJob(e.sample.name, e.sample.photos, e.identity, settings, run, detail, card=card)
-            for e in prepared.todo
+            BatchJob(entry.sample.name, entry.sample.photos, entry.identity, *rest)
+            for entry in prepared.todo
         )
         self._alone: deque[BatchJob] = deque()
         self._running: dict[str, BatchJob] = {}
@@ -159,7 +159,7 @@ class Batch:
     def _page(self) -> None:
         """Write the index; a failure must not end the batch."""
         try:
-            write_index(self._prepared.out, self._prepared.entries)
+            write_index(self._out, self._prepared.entries)
         except MatcapError as error:
             self._show.note(str(error))
         self._paged = time.monotonic()
@@ -174,7 +174,7 @@ class Batch:
 
     def _begin(self, job: BatchJob) -> None:
         room = self._settings.outputs.room
-        if shutil.disk_usage(self._run.out).free < room:
+        if shutil.disk_usage(self._out).free < room:
             self._stop = f"the disk has less than {room / 1e6:.0f} MB left"
             self._show.note(f"No further sample is started: {self._stop}. {_AGAIN}")
             return
@@ -194,7 +194,7 @@ class Batch:
             self._failed(job, event.value)
         else:
             entry.state, entry.record = "made", event.value
-            self._run.forget_failure(job.name)
+            forget_failure(self._out, job.name)
             self._show.ended(entry)
 
     def _failed(self, job: BatchJob, failure: Failure, *, again: bool = False) -> None:
@@ -209,7 +209,7 @@ class Batch:
         entry.state, entry.reason = "failed", failure.sentence
         if failure.kind not in _FORGET:
             about = {"identity": entry.identity, "reason": failure.sentence}
-            self._run.write_failure(job.name, about)
+            write_failure(self._out, job.name, about)
         self._show.ended(entry)
         if failure.kind == "disk":
             self._stop = self._stop or "the disk is full"
@@ -333,7 +333,7 @@ def work_off(
         KeyboardInterrupt: Ctrl-C; finished materials stay, the index is written.
     """
     entries = prepared.entries
-    with open_run(prepared.out) as run:
+    with open_run(prepared.out):
         show.expect(len(entries))
         for entry in entries:
             if entry.state != "todo":
@@ -343,7 +343,7 @@ def work_off(
             workers = Processes(prepared.workers, do_job, settle_threads)
         else:
             workers = Machines(scheduler, do_job, settle_threads)
-        Batch(prepared, run, workers, policy, show).go()
+        Batch(prepared, workers, policy, show).go()
     return exit_code(entries, strict=policy.strict)
 
 

@@ -11,7 +11,6 @@ import resource
 import shutil
 import sys
 import time
-import uuid
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -23,10 +22,10 @@ from filelock import FileLock, Timeout
 
 from matcap.batch.samples import WORKSPACE, BatchSettings, ShotSample, identity
 from matcap.capture.rectified import UNION_TIMES
-from matcap.capture.report import output_files, refuse_to_replace_longer_capture
+from matcap.capture.report import refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
 from matcap.files.names import OnProgress, Progress, read_document
-from matcap.files.output import sync, write_error
+from matcap.files.output import HIDDEN, Output, write_error
 from matcap.files.process import cores, free_bytes, keep_memory
 from matcap.photo.calibrate import Calibration, calibrated
 
@@ -38,9 +37,8 @@ if TYPE_CHECKING:
 
 # The manifest in each material's folder: the hash of its inputs, and its files with their sizes.
 #
-# A material is done if its record has the requested identity and all files have their sizes. Files
-# are synced to disk before they are renamed to their final names, so a right size means a complete
-# file.
+# A material is done if its record has the requested identity and all files have their sizes. The
+# record is written after all files, each of which is synced to disk before it gets its final name.
 
 FILE = "matcap-batch.json"
 FORMAT = "matcap batch record"
@@ -48,27 +46,44 @@ VERSION = 1  # of the file
 _MOST_BYTES = 20_000_000  # thumbnails included
 
 
-def write_record(folder: Path, about: Mapping[str, Any]) -> None:
-    """Write the record of a staged folder, and sync all its files to disk.
+@contextmanager
+def recorded(folder: Path, about: dict[str, Any]) -> Iterator[None]:
+    """Context that writes a material's files into its folder; records them on exit.
+
+    The files of an earlier record that are not written again are removed; others stay.
 
     Args:
-        folder: of a material, complete but for the record.
-        about: JSON entries, `identity` among them.
+        folder: of the material; created if missing.
+        about: JSON entries of the record, `identity` among them, when the context ends.
 
     Raises:
-        OSError: the folder cannot be written.
+        MatcapError: the folder cannot be written.
     """
+    older, before = read_record(folder) or {"files": {}}, _files(folder)
+    (folder / FILE).unlink(missing_ok=True)
+    yield
+    # Whatever replaces a file is another one.
     files = {
-        file.relative_to(folder).as_posix(): file.stat().st_size
-        for file in sorted(folder.rglob("*"))
-        if file.is_file()
+        name: stat.st_size
+        for name, stat in _files(folder).items()
+        if name not in before or before[name].st_ino != stat.st_ino
     }
+    for name in older["files"].keys() - files.keys():
+        (folder / name).unlink(missing_ok=True)
     document = {"format": FORMAT, "version": VERSION, **about, "files": files}
-    text = json.dumps(document, indent=1, allow_nan=False)
-    (folder / FILE).write_text(text + "\n", encoding="utf-8")
-    for file in folder.rglob("*"):
-        sync(file)
-    sync(folder)
+    with Output.file(folder / FILE) as file:
+        file.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _files(folder: Path) -> dict[str, os.stat_result]:
+    """The files in a folder by their path in it, hidden ones apart."""
+    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
+    named = {file.relative_to(folder): file for file in files}
+    return {
+        path.as_posix(): file.stat()
+        for path, file in named.items()
+        if not any(part.startswith(".") for part in path.parts)
+    }
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -170,80 +185,46 @@ def pool_size(wanted: int | None, each: int, jobs: int) -> int:
     return max(1, min(wanted or cores(), fit, jobs))
 
 
-# Workspace of a batch in its output folder: staging, the lock of a run, known failures.
+# State of a batch in its output folder.
 #
-# OUT/leather/                     a material, complete or absent
+# OUT/leather/                     a material; complete once its record is there
 # OUT/.matcap-batch/lock           held by the run that writes here, one at a time
-# OUT/.matcap-batch/run/           staged and replaced folders of that run
 # OUT/.matcap-batch/failed/NAME    a sample that cannot be used, and why
 #
-# The system releases the lock when a process ends, however it ends; the next run then restores what
-# it had moved. Which materials are done is decided by work.py alone.
-#
-# A material is published by renaming its staged folder, whose files are synced to disk before
-# (work.py). After a power cut the name is the old folder or the new one, complete; or missing, if
-# the cut was between the two renames of a replacement, and then the next run restores the old one.
+# The system releases the lock when a process ends, however it ends.
 
 
-@dataclass(frozen=True)
-class Run:
-    """The run of a batch that writes into an output folder."""
+@contextmanager
+def open_run(out: Path) -> Iterator[None]:
+    """Hold the lock of an output folder; first clears up after a run that was killed.
 
-    out: Path
-    """The output folder."""
+    Raises:
+        MatcapError: another batch writes into the folder, or it cannot be created or written.
+    """
+    lock = FileLock(out / WORKSPACE / "lock", timeout=0)
+    try:
+        (out / WORKSPACE).mkdir(parents=True, exist_ok=True)
+        with suppress(NotImplementedError):  # a file system without locks
+            lock.acquire()
+    except Timeout as error:
+        raise MatcapError.at(
+            out, "another matcap batch writes into this folder", "wait for it, or give another -o"
+        ) from error
+    except OSError as error:
+        raise write_error(out, error) from error
+    for stage in out.glob(f"*/{HIDDEN}*"):
+        if stage.name != WORKSPACE:  # of another batch
+            shutil.rmtree(stage, ignore_errors=True)
+    try:
+        yield
+    finally:
+        lock.release()
 
-    @property
-    def folder(self) -> Path:
-        """Its staged and replaced folders."""
-        return self.out / WORKSPACE / "run"
 
-    def stage(self, name: str) -> Path:
-        """Create an empty staging folder with the material's name, on the output's file system."""
-        stage = self.folder / "stage" / uuid.uuid4().hex / name
-        stage.mkdir(parents=True)
-        return stage
-
-    def publish(self, stage: Path) -> Path:
-        """Rename a staged folder to its name in the output, replacing an existing one.
-
-        Files that matcap did not write are moved to the new folder. The name is missing between
-        two renames, and never holds part of a material.
-
-        Raises:
-            OSError: the output cannot be written.
-        """
-        final = self.out / stage.name
-        old = self.folder / "old" / uuid.uuid4().hex / stage.name
-        if final.is_dir():
-            old.parent.mkdir(parents=True)
-            for folder in (self.folder, old.parent.parent):
-                sync(folder)
-            os.rename(final, old)
-        try:
-            os.rename(stage, final)
-        except BaseException:
-            if old.exists():
-                os.rename(old, final)
-            raise
-        sync(self.out)
-        if old.exists():
-            _keep_foreign(old, final)
-            shutil.rmtree(old.parent, ignore_errors=True)
-        with suppress(OSError):
-            stage.parent.rmdir()
-        return final
-
-    def write_failure(self, name: str, about: Mapping[str, Any]) -> None:
-        """Record that a sample cannot be used."""
-        folder = self.out / WORKSPACE / "failed"
-        folder.mkdir(parents=True, exist_ok=True)
-        mine = self.folder / f"failed-{uuid.uuid4().hex}"
-        mine.write_text(json.dumps(dict(about)), encoding="utf-8")
-        os.replace(mine, folder / name)
-
-    def forget_failure(self, name: str) -> None:
-        """Remove the record of a failure."""
-        (self.out / WORKSPACE / "failed" / name).unlink(missing_ok=True)
+def write_failure(out: Path, name: str, about: Mapping[str, Any]) -> None:
+    """Record that a sample cannot be used."""
+    with Output.file(out / WORKSPACE / "failed" / name) as file:
+        file.write_text(json.dumps(dict(about)), encoding="utf-8")
 
 
 def read_failure(out: Path, name: str) -> dict[str, Any] | None:
@@ -251,55 +232,9 @@ def read_failure(out: Path, name: str) -> dict[str, Any] | None:
     return read_document(out / WORKSPACE / "failed" / name)
 
 
-@contextmanager
-def open_run(out: Path) -> Iterator[Run]:
-    """Create a workspace for the `with` block; first cleans up after a run that was killed.
-
-    Raises:
-        MatcapError: another batch writes into the folder, or it cannot be created or written.
-    """
-    run, lock = Run(out), FileLock(out / WORKSPACE / "lock", timeout=0)
-    try:
-        run.folder.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(NotImplementedError):  # a file system without locks
-            lock.acquire()
-        _clear(run)
-        run.folder.mkdir(exist_ok=True)
-    except Timeout as error:
-        raise MatcapError.at(
-            out, "another matcap batch writes into this folder", "wait for it, or give another -o"
-        ) from error
-    except OSError as error:
-        raise write_error(out, error) from error
-    try:
-        yield run
-    finally:
-        _clear(run)
-        lock.release()
-
-
-def _clear(run: Run) -> None:
-    """Restore folders that a run had moved to replace them, and delete its workspace."""
-    for old in sorted(run.folder.glob("old/*/*")):
-        final = run.out / old.name
-        try:
-            if final.exists():
-                _keep_foreign(old, final)
-            else:
-                os.rename(old, final)
-        except OSError:
-            return  # the next run tries again
-    shutil.rmtree(run.folder, ignore_errors=True)
-
-
-def _keep_foreign(old: Path, new: Path) -> None:
-    """Move files that matcap did not write from the replaced folder to the new one."""
-    record = read_record(old)
-    ours = {FILE, *output_files(old.name)}
-    ours |= {file.split("/")[0] for file in record["files"]} if record else set()
-    for file in old.iterdir():
-        if file.name not in ours and not (new / file.name).exists():
-            os.rename(file, new / file.name)
+def forget_failure(out: Path, name: str) -> None:
+    """Remove the record of a failure."""
+    (out / WORKSPACE / "failed" / name).unlink(missing_ok=True)
 
 
 # The state of each sample of a batch (to do, done, failed), read from the output files.
@@ -404,8 +339,8 @@ class BatchJob:
     """Hash of the inputs, for the record."""
     settings: BatchSettings
     """Settings of the batch."""
-    run: Run
-    """Workspace."""
+    out: Path
+    """The output folder of the batch."""
     detail: int
     """Texels across; less than in the settings after memory ran out."""
     alone: bool = False
@@ -425,7 +360,7 @@ class Failure:
 
 
 def do_job(job: BatchJob, on_progress: OnProgress) -> dict[str, Any] | Failure:
-    """Capture a sample and publish its folder; returns the record without thumbnails.
+    """Capture a sample into its folder; returns the record without thumbnails.
 
     Any error is returned as a Failure.
     """
@@ -436,7 +371,7 @@ def do_job(job: BatchJob, on_progress: OnProgress) -> dict[str, Any] | Failure:
     except MatcapError as error:
         return Failure(_fault(error), str(error))
     except OSError as error:
-        failure = write_error(job.run.out / job.name, error)
+        failure = write_error(job.out / job.name, error)
         return Failure("disk" if error.errno in _DISK else "crash", str(failure))
     except Exception as error:
         if _is_no_memory(error):
@@ -479,14 +414,14 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     # Findings use the capture's tilt, so that report and record agree.
     first = inspect_photo(photos[0], result.material.setup.tilt)
     looked_at = [first, *map(photograph_quality, photos[1:])]
-    stage = job.run.stage(job.name)
-    write_outputs(result, stage, settings.outputs)
-    about = _about(job, looked_at, result)
-    about["seconds"] = round(time.perf_counter() - started, 3)
-    about["peak_bytes"] = _peak_bytes()
-    write_record(stage, {**about, "thumbnails": _thumbnails(result)})
-    job.run.publish(stage)
-    return about
+    record = _about(job, looked_at, result)
+    with recorded(job.out / job.name, record):
+        write_outputs(result, job.out / job.name, settings.outputs)
+        record["seconds"] = round(time.perf_counter() - started, 3)
+        record["peak_bytes"] = _peak_bytes()
+        record["thumbnails"] = _thumbnails(result)
+    del record["thumbnails"]
+    return record
 
 
 def measured(settings: CaptureSettings, card: Calibration | None) -> CaptureSettings:

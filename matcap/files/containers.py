@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -282,26 +282,18 @@ def _of_item(data: bytes, item: int) -> Iterator[int]:
 
 # Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
 
+_FRAMES = (0xC0, 0xC1, 0xC2, 0xC9, 0xCA)
 _LOSSLESS_OR_HIERARCHICAL = (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF)
 
 
 def unsupported_jpeg(path: Path) -> str:
     """The coding mode, such as "JPEG of 12 bits", if it is not supported; else ""."""
     with path.open("rb") as file:
-        file.seek(2)
-        while len(marker := file.read(2)) == 2:
-            if marker[0] != 0xFF or marker[1] == 0xDA:
-                return ""
-            if marker[1] == 0xFF:  # a fill byte
-                file.seek(-1, 1)
-                continue
-            if marker[1] in range(0xC0, 0xD0) and marker[1] not in (0xC4, 0xC8, 0xCC):
-                bits = file.read(3)[-1:]
-                if marker[1] in _LOSSLESS_OR_HIERARCHICAL:
-                    return "lossless or hierarchical JPEG"
-                return f"JPEG of {bits[0]} bits" if bits and bits[0] != 8 else ""
-            length = int.from_bytes(file.read(2), "big")
-            file.seek(max(length - 2, 0), 1)
+        for marker, data in jpeg_segments(file):
+            if marker in _LOSSLESS_OR_HIERARCHICAL:
+                return "lossless or hierarchical JPEG"
+            if marker in _FRAMES:
+                return f"JPEG of {data[0]} bits" if data and data[0] != 8 else ""
     return ""
 
 
@@ -352,21 +344,20 @@ def _with_end(path: Path) -> bytes | None:
     return data + _END
 
 
-# Segments, wherever metadata stand in them.
+def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """(marker, data) of a JPEG's segments before its scan, up to where the file is damaged.
 
-
-def jpeg_segments(path: Path) -> Iterator[tuple[int, bytes]]:
-    """(marker, data) of a JPEG's segments before its scan, up to where the file is damaged."""
-    with path.open("rb") as file:
-        file.seek(2)
-        while len(head := file.read(2)) == 2 and head[0] == 0xFF:
-            if head[1] == 0xFF:  # a fill byte
-                file.seek(-1, 1)
-                continue
-            length = int.from_bytes(file.read(2), "big")
-            if head[1] in (0xD9, 0xDA) or length < 2:
-                return
-            yield head[1], file.read(length - 2)
+    The file is read from its present position, the start of a JPEG, and left behind the segments.
+    """
+    file.seek(2, 1)
+    while len(head := file.read(2)) == 2 and head[0] == 0xFF:
+        if head[1] == 0xFF:  # a fill byte
+            file.seek(-1, 1)
+            continue
+        length = int.from_bytes(file.read(2), "big")
+        if head[1] in (0xD9, 0xDA) or length < 2:
+            return
+        yield head[1], file.read(length - 2)
 
 
 class Tag(IntEnum):

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import StagedFolder
 
-_HIDDEN = ".matcap-"  # prefix of the names of hidden folders
+HIDDEN = ".matcap-"  # prefix of the names of hidden folders
 _ELSEWHERE = "choose another folder with -o"
 _REASONS: dict[int, tuple[str, str]] = {
     errno.ENOSPC: ("the disk is full", f"free some space or {_ELSEWHERE}"),
@@ -64,7 +64,7 @@ class Output:
                     yield StagedFolder(self.folder / name)
                     return
                 with TemporaryDirectory(
-                    prefix=_HIDDEN, dir=self.folder, ignore_cleanup_errors=True
+                    prefix=HIDDEN, dir=self.folder, ignore_cleanup_errors=True
                 ) as made:
                     yield StagedFolder(made)
                     self.publish(Path(made), os.listdir(made))
@@ -87,14 +87,14 @@ class Output:
         fresh = sorted(set(names), key=lambda name: (name.endswith(".json"), name))
         every = dict.fromkeys([*fresh, *self.replacing])
         old = [name for name in every if _file_exists(self.folder / name)]
-        if not self.folder.name.startswith(_HIDDEN):  # else itself a stage
+        if not self.folder.name.startswith(HIDDEN):  # else itself a stage
             for name in fresh:
                 sync(stage / name)
         if len({*fresh, *old}) == 1 and fresh:  # the rename alone is atomic
             os.replace(stage / fresh[0], self.folder / fresh[0])
             return
         moved: list[tuple[Path, Path]] = []
-        with TemporaryDirectory(prefix=_HIDDEN, dir=self.folder) as aside:
+        with TemporaryDirectory(prefix=HIDDEN, dir=self.folder) as aside:
             moves = [(self.folder / name, Path(aside) / name) for name in old]
             moves += [(stage / name, self.folder / name) for name in fresh]
             try:

@@ -27,7 +27,15 @@ from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, FocalPlane, read_exif
 from matcap.photo.hdr_gain_map import HdrGainMap, applied
 from matcap.photo.left_out import Rows, area_averaged, shrink, shrunk_size
-from matcap.photo.photo import WITH_GAIN_MAP, Decoded, Development, check_size
+from matcap.photo.photo import (
+    UNSTATED,
+    WITH_GAIN_MAP,
+    Decoded,
+    Development,
+    Photo,
+    ToneCurve,
+    check_size,
+)
 
 _LOSSY = (FileKind.JPEG, FileKind.WEBP, FileKind.AVIF, FileKind.HEIC)
 _LOSSY_CLIP = 254.0 / 255.0  # as lossy coding may decode 255 to 254
@@ -94,7 +102,8 @@ def read_developed(
         opacity = pixels.channel("A") if "A" in pixels.roles else None
         coded = replace(light(path, colours, white, pixels.notes + notes), opacity=opacity)
     picture = decode(coded, long_side)
-    return replace(picture, size=size, orientation=exif.orientation), exif
+    photo = replace(picture.photo, original_size=size)
+    return replace(picture, photo=photo, orientation=exif.orientation), exif
 
 
 def _exif(path: Path, kind: FileKind, pixels: Pixels) -> Exif:
@@ -231,18 +240,20 @@ def decode(coded: Coded, long_side: int | None) -> Decoded:
 
     pixels, clipped = shrink(read, width, height, long_side)
     opacity, transparent = _opacity(coded, long_side)
-    return Decoded(
+    linear = gain_map is None and _is_linear(linearise, codes.dtype)
+    photo = Photo(
         pixels,
         clipped,
+        *UNSTATED,
         (width, height),
         notes=coded.notes + notes + transparent + ((applied(gain_map),) if gain_map else ()),
-        clipped_share=at_limit / (width * height),
-        linear=gain_map is None and _is_linear(linearise, codes.dtype),
+        stored_clipped_share=at_limit / (width * height),
+        tone=ToneCurve() if linear else None,
         headroom=_headroom(coded, linearise),
         floating=not whole,
         development=Development() if gain_map is None else WITH_GAIN_MAP,
-        opacity=opacity,
     )
+    return Decoded(photo, opacity=opacity)
 
 
 def _headroom(coded: Coded, linearise: Linearise) -> float:

@@ -358,10 +358,10 @@ def read_float_dng(
     space = ColorSpace("the camera", LINEAR.curves, color.matrix)
     coded = replace(light(path, balanced, white, notes), color=StatedColor(space=space))
     red, green, blue = (1.0 / channel for channel in color.neutral)
-    return replace(
-        decode(coded, long_side), size=size, whole=whole, radiometric=True,
-        balance=(red, green, blue),
-    )  # fmt: skip
+    picture = decode(coded, long_side)
+    balance = (red, green, blue)
+    photo = replace(picture.photo, original_size=size, radiometric=True, balance=balance)
+    return replace(picture, photo=photo, whole=whole)
 
 
 def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray[np.float32]:

@@ -156,15 +156,10 @@ def _of_jpeg(path: Path) -> tuple[bytes, bytes]:
 
     Parsers look in the first segments alone, which an XMP extension or C2PA may fill.
     """
-    exif = xmp = b""
-    for marker, data in jpeg_segments(path):
-        if marker != _APP1:
-            continue
-        if data.startswith(_EXIF) and not exif:
-            exif = data
-        elif data.startswith(_XMP) and not xmp:
-            xmp = data[len(_XMP) :]
-    return exif, xmp
+    with path.open("rb") as file:
+        blocks = [data for marker, data in jpeg_segments(file) if marker == _APP1]
+    exif = next((data for data in blocks if data.startswith(_EXIF)), b"")
+    return exif, next((data[len(_XMP) :] for data in blocks if data.startswith(_XMP)), b"")
 
 
 def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:

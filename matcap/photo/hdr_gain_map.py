@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.files.color import ColorSpace, rec709_decode
-from matcap.files.containers import APPLE_GAIN_MAP, Tag
+from matcap.files.containers import APPLE_GAIN_MAP, Tag, jpeg_segments
 from matcap.files.pixels import Pixels
 from matcap.files.stated_color import lineariser_of
 
@@ -44,7 +44,7 @@ NAME = "HDR gain map"  # in all notes on one
 _MARKS = (b"ns.adobe.com/hdr-gain-map", b"aux:hdrgainmap", b"iso:ts:21496:-1")
 _ISO = b"urn:iso:std:iso:ts:21496:-1\0"
 _XMP = b"http://ns.adobe.com/xap/1.0/\0"
-_SOI, _SOS, _EOI = b"\xff\xd8\xff", 0xDA, 0xD9
+_SOI = b"\xff\xd8\xff"
 # Flags; the last two are libultrahdr's.
 _MULTICHANNEL, _BACKWARD, _COMMON_DENOMINATOR = 0x80, 0x04, 0x08
 _MAKER_HEADROOM, _MAKER_GAIN = 33, 48
@@ -295,31 +295,18 @@ def _apple_notes(note: Any) -> dict[int, float]:  # noqa: ANN401
     return values
 
 
-def _segments(data: bytes, begin: int) -> tuple[list[bytes], int]:
-    """Contents of a JPEG's application segments, and where its compressed data begins."""
-    parts, at = [], begin + 2
-    while data[at : at + 1] == b"\xff" and data[at + 1] not in (_SOS, _EOI):
-        (size,) = struct.unpack_from(">H", data, at + 2)
-        if 0xE0 <= data[at + 1] <= 0xEF:
-            parts.append(data[at + 4 : at + 2 + size])
-        at += 2 + size
-    if data[at + 1] != _SOS:
-        raise ValueError("it is damaged")
-    return parts, at
-
-
 def _pictures_behind(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Begin and segments of the JPEGs behind the first; compressed data has no start of one."""
-    at = 0
+    """Begin and application segments of the JPEGs behind the first.
+
+    Compressed data has no start of one.
+    """
+    file, at = io.BytesIO(data), 0
     while (begin := data.find(_SOI, at)) >= 0:
-        try:
-            parts, ends = _segments(data, begin)
-        except (ValueError, struct.error, IndexError):
-            at = begin + 2
-            continue
+        file.seek(begin)
+        parts = [part for marker, part in jpeg_segments(file) if 0xE0 <= marker <= 0xEF]
         if at:
             yield begin, parts
-        at = ends
+        at = max(file.tell(), begin + 2)
 
 
 def _decoded(data: bytes) -> tuple[NDArray[np.uint8], bytes | None]:

@@ -18,7 +18,7 @@ from matcap.photo.developed import read_developed
 from matcap.photo.dng import Corrections, read_corrections, read_float_dng
 from matcap.photo.exif import Exif, part_of_fov, phone_fov, read_exif
 from matcap.photo.left_out import leave_transparent_out
-from matcap.photo.photo import SHORTEST_SIDE, Decoded, Photo, ToneCurve, quarter_turn
+from matcap.photo.photo import SHORTEST_SIDE, Decoded, Photo, quarter_turn
 from matcap.photo.raw import read_raw
 from matcap.photo.raw_samples import raw_page
 
@@ -127,48 +127,37 @@ def _read(
     return replace(picture, orientation=orientation), read_exif(path)
 
 
-def _photo(
-    picture: Decoded,
-    exif: Exif,
-    fov: float | None,
-    where: str,
-    name: str,
-) -> Photo:
+def _photo(picture: Decoded, exif: Exif, fov: float | None, where: str, name: str) -> Photo:
     """Check the picture, and rotate it upright, then to landscape orientation."""
-    _check_light(picture, where)
-    size = picture.size if picture.orientation < 5 else picture.size[::-1]
+    stored = picture.photo
+    _check_light(stored, where)
+    width, height = stored.original_size
+    size = (width, height) if picture.orientation < 5 else (height, width)
     turned = size[1] > size[0]
 
-    def lying(stored: NDArray[Any]) -> NDArray[Any]:
-        standing = upright(stored, picture.orientation)
+    def lying(planes: NDArray[Any]) -> NDArray[Any]:
+        standing = upright(planes, picture.orientation)
         return np.ascontiguousarray(quarter_turn(standing) if turned else standing)
 
-    whole = picture.whole or picture.size
+    whole = picture.whole or (width, height)
     stated, said = exif.view(*whole)
     known, source, said = (fov, "given", ()) if fov is not None else (stated, "exif", said)
     seen = phone_fov(*whole) if known is None else known
     if fov is None and picture.whole is not None:
-        seen = part_of_fov(seen, max(picture.size) / max(whole))
-    photo = Photo(
-        pixels=lying(picture.pixels),
-        clipped=lying(picture.clipped),
+        seen = part_of_fov(seen, max(width, height) / max(whole))
+    photo = replace(
+        stored,
+        pixels=lying(stored.pixels),
+        clipped=lying(stored.clipped),
+        noise=None if stored.noise is None else lying(stored.noise),
         fov=seen,
         fov_source="assumed" if known is None else source,
-        radiometric=picture.radiometric,
         name=name,
         original_size=size,
         turned=turned,
         flash_fired=exif.flash_fired,
-        gain_map_applied=picture.gain_map_applied,
-        notes=picture.notes + said,
-        stored_clipped_share=picture.clipped_share,
-        noise=None if picture.noise is None else lying(picture.noise),
+        notes=stored.notes + said,
         exposure=exif.exposure,
-        balance=picture.balance,
-        tone=ToneCurve() if picture.linear else None,
-        headroom=picture.headroom,
-        floating=picture.floating,
-        development=picture.development,
     )
     if picture.opacity is None:
         return photo
@@ -192,7 +181,7 @@ def _check_request(long_side: int | None, fov: float | None, white: float | None
         )
 
 
-def _check_light(picture: Decoded, where: str) -> None:
+def _check_light(picture: Photo, where: str) -> None:
     if float(picture.pixels.max()) < _DARKEST:
         raise MatcapError.at(
             where, "the picture is all black", "photograph again with the flash on"

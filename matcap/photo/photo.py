@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -109,43 +110,6 @@ FULL = 0.95  # of the clip level: channels of a clipped pixel above this count a
 
 
 @dataclass(frozen=True)
-class Decoded:
-    """A reader's result: a linear picture, in the orientation in which the file stores it."""
-
-    pixels: NDArray[np.float32]
-    """(h, w, 3) float32 linear Rec.709, at least 0, downsampled."""
-    clipped: NDArray[np.bool_]
-    """(h, w) bool."""
-    size: tuple[int, int]
-    """(width, height) as stored, before downsampling."""
-    orientation: int = 1
-    """EXIF's 1 to 8, not yet applied."""
-    radiometric: bool = False
-    """As in Photo."""
-    linear: bool = False
-    """Whether codes are proportional to light, so that a tone curve is unlikely."""
-    headroom: float = 1.0
-    """As in Photo."""
-    floating: bool = False
-    """As in Photo."""
-    development: Development = Development()
-    """As in Photo."""
-    gain_map_applied: bool = False
-    notes: tuple[str, ...] = ()
-    """As in Photo."""
-    clipped_share: float | None = None
-    """Share of the stored pixels (of a RAW: of the photosites of the colour that clips most) at the
-    clip level, or None if only `clipped` is known."""
-    noise: NDArray[np.float32] | None = None
-    balance: tuple[float, float, float] | None = None
-    """As in Photo."""
-    opacity: NDArray[np.float32] | None = None
-    """(h, w) float32 in [0, 1], or None if all is opaque."""
-    whole: tuple[int, int] | None = None
-    """(width, height) of the picture that focal lengths refer to, if this is a part of it."""
-
-
-@dataclass(frozen=True)
 class Photo:
     """A scene-linear, white-balanced photograph, long side along x."""
 
@@ -249,6 +213,24 @@ class Photo:
         if self.stored_clipped_share is not None:
             return self.stored_clipped_share
         return float(self.clipped.mean())
+
+
+# Field of view, its source, whether radiometric, and name, of a file whose metadata are not read.
+UNSTATED = (math.nan, "assumed", False, "")
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A reader's result: a photograph as the file stores it, before it is checked and turned."""
+
+    photo: Photo
+    """Downsampled, its `original_size` as stored; without what the metadata say."""
+    orientation: int = 1
+    """EXIF's 1 to 8, not yet applied."""
+    opacity: NDArray[np.float32] | None = None
+    """(h, w) float32 in [0, 1], or None if all is opaque."""
+    whole: tuple[int, int] | None = None
+    """(width, height) of the picture that focal lengths refer to, if this is a part of it."""
 
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +18,7 @@ from matcap.files.containers import decoding, unreadable
 from matcap.photo.dng import Corrections
 from matcap.photo.left_out import Rows, shrink
 from matcap.photo.opcodes import GainMap, Shading
-from matcap.photo.photo import Decoded, check_size
+from matcap.photo.photo import UNSTATED, Decoded, Photo, check_size
 from matcap.photo.raw_samples import plain_dng
 
 # Sensor noise: estimated from the mosaic, and sampled.
@@ -274,19 +274,19 @@ def read_raw(
     if again is not None:
         noisy_pixels, _ = shrink(partial(rows_of, again), *size, long_side)
         drawn = noisy_pixels - pixels
-    return Decoded(
+    photo = Photo(
         pixels,
         clipped,
+        *UNSTATED,
         (width, height),
-        orientation,
-        radiometric=True,
         gain_map_applied=corrections.has_maps,
         notes=corrections.notes + ((unstated,) if unstated else ()),
-        clipped_share=share,
+        stored_clipped_share=share,
         noise=drawn,
         balance=balance,
-        whole=corrections.crop.sizes[1] if corrections.crop else None,
     )
+    whole = corrections.crop.sizes[1] if corrections.crop else None
+    return Decoded(replace(photo, radiometric=True), orientation, whole=whole)
 
 
 def _shown(raw: Any, corrections: Corrections) -> tuple[slice, slice]:  # noqa: ANN401

@@ -16,8 +16,8 @@ from matcap.batch.work import (
     measured,
     photo_pixels,
     pool_size,
+    recorded,
     worker_bytes,
-    write_record,
 )
 from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.cli.display import BatchDisplay
@@ -48,11 +48,11 @@ def test_a_dry_run_writes_nothing_and_forecasts_no_time(shoot, tmp_path, capsys)
 def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, tmp_path, capsys):
     out = tmp_path / "out"
     for name, detail, seconds in (("a", 512, 20.0), ("b", 512, 40.0), ("c", 256, 1.0)):
-        (out / name).mkdir(parents=True)
-        (out / name / "maps.exr").write_bytes(bytes(1000))
         steps = PRESETS["standard"].decoder_steps
         about = {"identity": name, "steps": steps, "detail": detail, "seconds": seconds}
-        write_record(out / name, about)
+        with recorded(out / name, about):
+            (out / name).mkdir(parents=True)
+            (out / name / "maps.exr").write_bytes(bytes(1000))
     asked = ["batch", str(shoot), "-o", str(out), "--dry-run", "--json", "--detail", "512"]
     assert main(asked) == 0
     values = json.loads(capsys.readouterr().out)

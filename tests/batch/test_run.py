@@ -15,13 +15,14 @@ import pytest
 from kills import torture
 
 import matcap.batch.run
-from matcap.batch.run import Batch, exit_code
+from matcap.batch.run import Batch, Prepared, exit_code
 from matcap.batch.samples import BatchSettings, find_samples
-from matcap.batch.work import Failure, Policy, do_job, make_plan, open_run, write_record
+from matcap.batch.work import Failure, Policy, do_job, make_plan, open_run, recorded
 from matcap.batch.worker_pool import Event, Processes
 from matcap.capture import pipeline
 from matcap.cli.main import main
 from matcap.files.names import Progress
+from matcap.files.output import Output
 
 # The order of events of a batch, with a workers that does what it is told.
 
@@ -52,10 +53,9 @@ class FakeWorkers:
             return [*result, Event(job, "died", answer)]
         if isinstance(answer, Failure):
             return [*result, Event(job, "done", answer)]
-        stage = job.run.stage(job.name)
-        (stage / "preview.png").write_text("made")
-        write_record(stage, {"identity": job.identity, "name": job.name})
-        job.run.publish(stage)
+        folder = job.out / job.name
+        with recorded(folder, {"identity": job.identity, "name": job.name}):
+            write(folder, "preview.png", "made")
         return [*result, Event(job, "done", {"name": job.name, "doubtful": False})]
 
     def close(self):
@@ -97,12 +97,23 @@ def batch(shoot, tmp_path):
 
     def go(answer=lambda job: True, policy=None, size=2, settings=SETTINGS):
         policy, workers, watcher = policy or Policy(), FakeWorkers(answer, size), Watcher()
-        entries = make_plan(find_samples(shoot), tmp_path / "out", settings, policy, prior="p")
-        with open_run(tmp_path / "out") as run:
-            Batch(entries, run, workers, settings, policy, watcher, lambda: None).go()
-        return entries, workers, watcher
+        prepared = plan(shoot, tmp_path / "out", policy, settings)
+        with open_run(tmp_path / "out"):
+            Batch(prepared, workers, policy, watcher).go()
+        return prepared.entries, workers, watcher
 
     return go
+
+
+def plan(shoot, out, policy, settings=SETTINGS):
+    entries = make_plan(find_samples(shoot), out, settings, policy, prior="p")
+    return Prepared(out, settings, entries, 1, 2)
+
+
+def write(folder, name, text):
+    """As captures write: the file under the name is another one."""
+    with Output.file(folder / name) as file:
+        file.write_text(text)
 
 
 def states(entries):
@@ -218,14 +229,14 @@ def test_the_first_interrupt_finishes_what_runs_and_the_second_ends_it(
             for number in signals if job.name == "b" else ():
                 signal.raise_signal(number)
 
-    workers, pages = Interrupted(lambda job: True, size=1), []
+    workers = Interrupted(lambda job: True, size=1)
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
-    entries = make_plan(find_samples(shoot), tmp_path / "out", SETTINGS, Policy(), prior="p")
-    with open_run(tmp_path / "out") as run, pytest.raises(KeyboardInterrupt):
-        Batch(entries, run, workers, SETTINGS, Policy(), Watcher(), lambda: pages.append(1)).go()
+    prepared = plan(shoot, tmp_path / "out", Policy())
+    with open_run(tmp_path / "out"), pytest.raises(KeyboardInterrupt):
+        Batch(prepared, workers, Policy(), Watcher()).go()
     signal.signal(signal.SIGINT, handler)
-    assert workers.closed and pages
-    assert states(entries) == {"a": "made", "b": second, "c": "left", "d": "left"}
+    assert workers.closed and (tmp_path / "out/index.html").is_file()
+    assert states(prepared.entries) == {"a": "made", "b": second, "c": "left", "d": "left"}
 
 
 @pytest.mark.parametrize(
@@ -256,20 +267,19 @@ def test_a_shorter_capture_replaces_a_longer_one_only_if_asked(shoot, tmp_path):
         report = {"format": "matcap report", "interrupted": False, "effort": effort}
         (out / name / "report.json").write_text(json.dumps(report))
 
-    def plan(**choice):
-        entries = make_plan(find_samples(shoot), out, SETTINGS, Policy(**choice), prior="p")
-        return {entry.sample.name: entry for entry in entries}
+    def planned(**choice):
+        return {one.sample.name: one for one in plan(shoot, out, Policy(**choice)).entries}
 
-    kept = plan()
+    kept = planned()
     assert kept["a"].state == "failed" and kept["b"].state == "todo"
     assert (
         "a longer one, of preset standard" in kept["a"].reason and "--overwrite" in kept["a"].reason
     )
     report |= {"several": {"photographs": [{"name": name} for name in "bcd"]}}
     (out / "b" / "report.json").write_text(json.dumps(report))
-    assert "one of 3 photographs" in plan()["b"].reason
-    assert plan(force=True)["a"].state == "failed"
-    assert plan(overwrite=True)["a"].state == "todo"
+    assert "one of 3 photographs" in planned()["b"].reason
+    assert planned(force=True)["a"].state == "failed"
+    assert planned(overwrite=True)["a"].state == "todo"
 
 
 @pytest.mark.capture

@@ -11,37 +11,35 @@ import pytest
 
 from matcap.batch.overview import write_index
 from matcap.batch.samples import WORKSPACE, ShotSample
-from matcap.batch.work import FILE, BatchEntry, is_done, open_run, read_failure, write_record
+from matcap.batch.work import (
+    FILE,
+    BatchEntry,
+    forget_failure,
+    is_done,
+    open_run,
+    read_failure,
+    recorded,
+    write_failure,
+)
 from matcap.errors import MatcapError
+from matcap.files.output import Output
 
-# Folders that appear whole, records that say what is done, and the lock of a run.
-
-
-def make(run, name, text, identity="i"):
-    """A stage with a file and a record, published."""
-    stage = run.stage(name)
-    (stage / "preview.png").write_text(text)
-    write_record(stage, {"identity": identity})
-    return run.publish(stage)
+# Folders whose record says that they are whole, and the lock of a run.
 
 
-def dead_run(out):
-    """The folder of a run that was killed while it had a stage."""
-    code = (
-        "import os, sys, pathlib, matcap.batch.work as w\n"
-        "opened = w.open_run(pathlib.Path(sys.argv[1]))\n"
-        "run = opened.__enter__()\n"
-        "run.stage('a'); os.kill(os.getpid(), 9)\n"
-    )
-    subprocess.run([sys.executable, "-c", code, str(out)])
-    return out / WORKSPACE / "run"
+def make(out, name, identity="i", **files):
+    """A material of files by stem, and its record."""
+    folder = out / name
+    with recorded(folder, {"identity": identity}):
+        for stem, text in files.items():
+            with Output.file(folder / f"{stem}.png") as file:
+                file.write_text(text)
+    return folder
 
 
 def test_a_material_is_done_if_its_files_and_identity_match(tmp_path):
-    with open_run(tmp_path) as run:
-        folder = make(run, "a", "picture")
-        assert is_done(folder, "i")
-        assert not is_done(folder, "another")
+    folder = make(tmp_path, "a", preview="picture")
+    assert is_done(folder, "i") and not is_done(folder, "another")
     (folder / "preview.png").write_text("pict")
     assert not is_done(folder, "i")
     (folder / "preview.png").unlink()
@@ -55,115 +53,56 @@ def test_a_record_that_cannot_be_read_is_none(tmp_path, text):
 
 
 def test_a_second_capture_replaces_the_first_and_keeps_foreign_files(tmp_path):
-    with open_run(tmp_path) as run:
-        stage = run.stage("a")
-        (stage / "a_extra.png").write_text("of the first only")
-        (stage / "preview.png").write_text("first")
-        write_record(stage, {"identity": "1"})
-        folder = run.publish(stage)
-        (folder / "my notes.txt").write_text("keep")
-        make(run, "a", "second", "2")
-        assert sorted(os.listdir(folder)) == [FILE, "my notes.txt", "preview.png"]
-        assert (folder / "preview.png").read_text() == "second"
-        assert is_done(folder, "2")
-    assert os.listdir(tmp_path / WORKSPACE) == ["lock"]
+    folder = make(tmp_path, "a", "1", preview="first", extra="of the first only")
+    (folder / "notes.txt").write_text("keep")
+    make(tmp_path, "a", "2", preview="second")
+    assert sorted(os.listdir(folder)) == [FILE, "notes.txt", "preview.png"]
+    assert (folder / "preview.png").read_text() == "second" and is_done(folder, "2")
+    (folder / "notes.txt").unlink()
+    assert is_done(folder, "2")
 
 
-def test_files_of_a_plain_capture_are_replaced(tmp_path):
-    (tmp_path / "a").mkdir()
-    for name in ("a_diffuse.png", "report.json", "a.matcap", "other.txt"):
-        (tmp_path / "a" / name).write_text("old")
-    with open_run(tmp_path) as run:
-        folder = make(run, "a", "new")
-    assert sorted(os.listdir(folder)) == [FILE, "other.txt", "preview.png"]
+def test_an_interrupted_replacement_is_not_done(tmp_path):
+    folder = make(tmp_path, "a", preview="first", maps="first")
+    with pytest.raises(KeyboardInterrupt), recorded(folder, {"identity": "i"}):
+        (folder / "preview.png").write_text("FIRST")
+        raise KeyboardInterrupt
+    assert not is_done(folder, "i") and (folder / "maps.png").read_text() == "first"
 
 
 def test_a_file_in_the_place_of_a_folder_is_left_alone(tmp_path):
     (tmp_path / "a").write_text("mine")
-    with open_run(tmp_path) as run, pytest.raises(OSError):
-        make(run, "a", "new")
+    with pytest.raises(OSError):
+        make(tmp_path, "a", preview="new")
     assert (tmp_path / "a").read_text() == "mine"
 
 
 def test_a_second_run_is_refused_while_the_first_lives(tmp_path):
-    with open_run(tmp_path) as run:
-        stage = run.stage("a")
-        with pytest.raises(MatcapError, match="another matcap batch"), open_run(tmp_path):
-            pass
-        assert stage.is_dir()
-
-
-def test_staged_folders_of_a_killed_run_are_deleted(tmp_path):
-    dead = dead_run(tmp_path)
-    assert list(dead.rglob("a"))
-    with open_run(tmp_path):
-        assert not list(dead.rglob("a"))
-
-
-def test_folders_that_a_killed_run_had_moved_are_restored(tmp_path):
-    """Killed between the two renames, or before it had put back what others left there."""
-    dead = dead_run(tmp_path)
-    for number, name in enumerate(("gone", "here")):
-        old = dead / "old" / str(number) / name
-        old.mkdir(parents=True)
-        (old / "preview.png").write_text("old")
-        (old / "notes.txt").write_text("keep")
-    (tmp_path / "here").mkdir()
-    (tmp_path / "here/preview.png").write_text("new")
-    with open_run(tmp_path):
+    refused = pytest.raises(MatcapError, match="another matcap batch")
+    with open_run(tmp_path), refused, open_run(tmp_path):
         pass
-    assert sorted(os.listdir(tmp_path / "gone")) == ["notes.txt", "preview.png"]
-    assert (tmp_path / "here/notes.txt").read_text() == "keep"
-    assert (tmp_path / "here/preview.png").read_text() == "new"
 
 
-def test_the_old_folder_is_restored_when_the_new_one_cannot_be_renamed(tmp_path, monkeypatch):
-    rename = os.rename
-    with open_run(tmp_path) as run:
-        folder = make(run, "a", "first")
-        (folder / "notes.txt").write_text("keep")
-
-        def no_stage(source, target):
-            if run.folder / "stage" in source.parents and not os.path.exists(target):
-                raise OSError(5, "Input/output error")
-            rename(source, target)
-
-        monkeypatch.setattr(os, "rename", no_stage)
-        with pytest.raises(OSError, match="Input/output"):
-            make(run, "a", "second")
-        assert (folder / "preview.png").read_text() == "first"
-        assert (folder / "notes.txt").read_text() == "keep"
-
-
-def test_foreign_files_survive_a_failure_to_move_them(tmp_path, monkeypatch):
-    rename = os.rename
-    with open_run(tmp_path) as run:
-        folder = make(run, "a", "first")
-        (folder / "notes.txt").write_text("keep")
-
-        def no_notes(source, target):
-            if source.name == "notes.txt":
-                raise OSError(5, "Input/output error")
-            rename(source, target)
-
-        monkeypatch.setattr(os, "rename", no_notes)
-        with pytest.raises(OSError, match="Input/output"):
-            make(run, "a", "second")
-    assert (folder / "preview.png").read_text() == "second"
-    assert not (folder / "notes.txt").exists()
-    monkeypatch.undo()
+def test_hidden_folders_of_a_killed_run_are_deleted(tmp_path):
+    code = (
+        "import os, sys, pathlib, matcap.batch.work as w\n"
+        "out = pathlib.Path(sys.argv[1]); opened = w.open_run(out); opened.__enter__()\n"
+        "stage = w.Output(out / 'a').stage(); stage.__enter__(); os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)])
+    (tmp_path / "other" / WORKSPACE).mkdir(parents=True)
+    assert os.listdir(tmp_path / "a")
     with open_run(tmp_path):
-        assert (folder / "notes.txt").read_text() == "keep"
+        assert not os.listdir(tmp_path / "a") and os.listdir(tmp_path / "other") == [WORKSPACE]
 
 
 def test_failures_are_recorded_and_removed(tmp_path):
-    with open_run(tmp_path) as run:
-        run.write_failure("a", {"identity": "i", "reason": "black"})
-        assert read_failure(tmp_path, "a") == {"identity": "i", "reason": "black"}
-        run.forget_failure("a")
-        assert read_failure(tmp_path, "a") is None
+    write_failure(tmp_path, "a", {"identity": "i", "reason": "black"})
+    assert read_failure(tmp_path, "a") == {"identity": "i", "reason": "black"}
     (tmp_path / WORKSPACE / "failed" / "b").write_text("{torn")
     assert read_failure(tmp_path, "b") is None
+    forget_failure(tmp_path, "a")
+    assert read_failure(tmp_path, "a") is None
 
 
 # The page and its tables.
@@ -194,6 +133,11 @@ class Reader(HTMLParser):
             assert not name.startswith("on")
 
 
+def make_record(folder, about):
+    with recorded(folder, dict(about)):
+        pass
+
+
 def written(tmp_path):
     entries = []
     for name, state, reason in (
@@ -204,12 +148,10 @@ def written(tmp_path):
         record = {}
         if state == "made":
             record = RECORD
-            (tmp_path / name).mkdir()
-            write_record(tmp_path / name, record)
+            make_record(tmp_path / name, record)
         sample = ShotSample(name, (Path(f"/shoot/{state}.jpg"),))
         entries.append(BatchEntry(sample, "i", state, reason, dict(record)))
-    (tmp_path / "earlier").mkdir()
-    write_record(tmp_path / "earlier", {**RECORD, "doubtful": False})
+    make_record(tmp_path / "earlier", RECORD | {"doubtful": False})
     write_index(tmp_path, entries)
     return tmp_path
 
@@ -248,10 +190,8 @@ def test_doubtful_shots_are_marked(tmp_path):
 
 
 def test_a_material_that_failed_in_the_verdict_is_red(tmp_path):
-    folder = tmp_path / "lost"
-    folder.mkdir()
-    record = {**RECORD, "doubtful": True, "verdict": {"rating": "failed", "severity": 4.2}}
-    write_record(folder, record)
+    verdict = {"rating": "failed", "severity": 4.2}
+    make_record(tmp_path / "lost", RECORD | {"doubtful": True, "verdict": verdict})
     write_index(tmp_path, [])
     page = (tmp_path / "index.html").read_text()
     assert page.count('<tr class="failed">') == 1 and "0 doubtful · 1 failed" in page

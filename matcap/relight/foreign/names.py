@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import struct
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any, Literal
 
 from matcap.brdf.stated import SCALE
 from matcap.errors import MatcapError
-from matcap.files.names import name_fault, note, plain_name, tile_names
+from matcap.files.names import name_fault, note, tile_names
 from matcap.files.settings import bounded, whole
 
 # Recognise the map of each file of a set by its name.
@@ -186,8 +185,6 @@ class SetFiles:
     """(columns, rows) of UDIM tiles; None for plain files."""
     periodic: bool = True
     """Whether the maps tile seamlessly."""
-    f0: float | None = None
-    """F0 where the specular texture of a .glb is 1; without such a texture, of dielectrics."""
 
 
 @dataclass(frozen=True)
@@ -444,8 +441,6 @@ def _rank(kind: str, word: str) -> int:
 
 
 # Read exports of matcap by their sidecar, which states maps, units and encodings.
-#
-# Of a .glb its textures are unpacked (glTF 2.0, section 4.4), as far as export/gltf.py writes them.
 
 _FORMAT, _VERSION = "matcap export", 2
 # Beginnings of a texture's `meaning` in the sidecar, and the maps that it holds.
@@ -465,19 +460,15 @@ _MEANINGS: tuple[tuple[str, Packing], ...] = (
     ("unit normal", {"normal": "RGB"}),
     ("height", {"height": "R"}),
 )
-_INSIDE = ("gltf",)  # targets whose textures are inside the document
 # Targets whose shader uses base (1 - F0) where F0 is a texture of its own.
-_CONSERVING = ("gltf", "unity-hdrp", "unity-urp", "usd")
+_CONSERVING = ("unity-hdrp", "unity-urp", "usd")
 
 
-def stated_export(folder: Path, place: Path) -> SetFiles | None:
+def stated_export(folder: Path) -> SetFiles | None:
     """Read the sidecar in a folder; None where there is none.
 
-    Args:
-        place: an empty folder for textures unpacked from a .glb.
-
     Raises:
-        MatcapError: several exports, or a damaged sidecar.
+        MatcapError: several exports, a damaged sidecar, or textures inside of a .glb.
     """
     sidecars = [(file, about) for file in sorted(folder.glob("*.json")) if (about := _read(file))]
     if not sidecars:
@@ -489,8 +480,12 @@ def stated_export(folder: Path, place: Path) -> SetFiles | None:
             "keep one export in a folder",
         )
     file, about = sidecars[0]
+    if about.get("target") == "gltf":
+        raise MatcapError.at(
+            folder, "the textures of this export are inside its .glb", "give the map set it is of"
+        )
     try:
-        return _stated(folder, about, place)
+        return _stated(folder, about)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, OSError) as error:
         raise MatcapError.at(
             file,
@@ -521,15 +516,11 @@ def _read(file: Path) -> dict[str, Any] | None:
     return about
 
 
-def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> SetFiles:
+def _stated(folder: Path, about: Mapping[str, Any]) -> SetFiles:
     unit = 1.0
     if about["unit"] == "mm":
         unit = bounded(about["provenance"][SCALE], f"'{SCALE}'", 1e-9, 1e9)
     named = [_stated_file(folder, name, entry) for name, entry in about["files"].items()]
-    f0 = None
-    if about["target"] in _INSIDE:
-        document = folder / plain_name(about["documents"][0])
-        named, f0 = _unpacked(document, place)
     files: dict[str, NamedFile] = {}
     left_out = []
     # Prefer +Y normals to -Y ones, and the maps themselves to colours made for one shader.
@@ -553,7 +544,7 @@ def _stated(folder: Path, about: Mapping[str, Any], place: Path) -> SetFiles:
         columns, rows = grid
         grid = whole(columns, "'udim'", 1, 10), whole(rows, "'udim'", 1, 900)
     periodic = about["periodic"] is True
-    return SetFiles(files, tuple(left_out), texel, height, conserving, grid, periodic, f0)
+    return SetFiles(files, tuple(left_out), texel, height, conserving, grid, periodic)
 
 
 def _stated_file(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:
@@ -572,47 +563,3 @@ def _stated_file(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile
     style = style if "normal" in channels else ""
     space = "lin_rec709" if entry["colour_space"] == "linear" else ""
     return NamedFile(folder / name, channels, style, rank, space=space)
-
-
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}
-# Maps in an image, by the end of its name.
-_PACKINGS: dict[str, Packing] = {
-    "_base_color": {"base": "RGB"},
-    "_specular_color": {"specular": "RGB"},
-    "_roughness": {"roughness": "G", "metallic": "B"},
-    "_normal": {"normal": "RGB"},
-}
-
-
-def _unpacked(file: Path, place: Path) -> tuple[list[NamedFile], float]:
-    """Write the textures into a folder; returns them, and F0 = ((ior - 1) / (ior + 1))^2 factor.
-
-    That is F0 where specular colour is 1, or of dielectrics without a specular texture.
-
-    Raises:
-        ValueError, KeyError, TypeError, IndexError: the file is damaged, or not matcap's.
-        OSError: it cannot be read.
-    """
-    data = file.read_bytes()
-    magic, _, _, length, kind = struct.unpack_from("<4sIII4s", data.ljust(20, b"\0"))
-    if (magic, kind) != (b"glTF", b"JSON") or 28 + length > len(data):
-        raise ValueError(f"{file.name} is no glTF binary")
-    document: dict[str, Any] = json.loads(data[20 : 20 + length])
-    content = data[28 + length :]
-    textures = []
-    for image in document["images"]:
-        view = document["bufferViews"][image["bufferView"]]
-        start, size = int(view.get("byteOffset", 0)), int(view["byteLength"])
-        ends = [end for end in _PACKINGS if str(image["name"]).endswith(end)]
-        if start < 0 or size <= 0 or start + size > len(content):
-            raise ValueError(f"an image lies outside of {file.name}")
-        if ends:
-            target = place / f"{file.stem}{ends[0]}{_SUFFIX[image['mimeType']]}"
-            target.write_bytes(content[start : start + size])
-            style = "gl" if ends[0] == "_normal" else ""
-            textures.append(NamedFile(target, _PACKINGS[ends[0]], style))
-    extensions = document["materials"][0]["extensions"]
-    index = bounded(extensions["KHR_materials_ior"]["ior"], "ior", 1.0, 1e6)
-    factor = extensions.get("KHR_materials_specular", {}).get("specularColorFactor", [1.0])[0]
-    f0 = ((index - 1.0) / (index + 1.0)) ** 2 * bounded(factor, "specularColorFactor", 0.0, 1e3)
-    return textures, f0

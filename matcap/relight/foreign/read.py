@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -225,27 +224,26 @@ def read_foreign(folder: str | Path, *, normal: NormalStyle | None = None) -> Fo
     folder = Path(folder)
     if not folder.is_dir():
         raise MatcapError.at(folder, "no such folder", "check the path")
-    with tempfile.TemporaryDirectory(prefix="matcap-") as place:
-        about = stated_export(folder, Path(place)) or assigned(folder)
-        spatial = [line for line in about.left_out if f"({OBJECT_SPACE})" in line]
-        if spatial and "normal" not in about.files:
-            raise MatcapError.at(
-                folder,
-                f"its only normal map is of object or world space ({', '.join(spatial)})",
-                "bake it in tangent space, or remove it",
-            )
-        if "base" not in about.files:
-            unused = f" (not used: {', '.join(about.left_out)})" if about.left_out else ""
-            inside = ", ".join(_folders_of_maps(folder))
-            raise MatcapError.at(
-                folder,
-                f"there is no map of base colour in this folder{unused}",
-                f"give the folder that holds it ({inside})"
-                if inside
-                else "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
-            )
-        maps = ForeignMaps.of(about)
-        texture = maps.texture(normal)
+    about = stated_export(folder) or assigned(folder)
+    spatial = [line for line in about.left_out if f"({OBJECT_SPACE})" in line]
+    if spatial and "normal" not in about.files:
+        raise MatcapError.at(
+            folder,
+            f"its only normal map is of object or world space ({', '.join(spatial)})",
+            "bake it in tangent space, or remove it",
+        )
+    if "base" not in about.files:
+        unused = f" (not used: {', '.join(about.left_out)})" if about.left_out else ""
+        inside = ", ".join(_folders_of_maps(folder))
+        raise MatcapError.at(
+            folder,
+            f"there is no map of base colour in this folder{unused}",
+            f"give the folder that holds it ({inside})"
+            if inside
+            else "name one ..._Color, ..._diff, ..._albedo or ..._basecolor",
+        )
+    maps = ForeignMaps.of(about)
+    texture = maps.texture(normal)
     check_heights(texture.height, str(folder))
     files = {kind: file.path.name for kind, file in maps.files.items()}
     return Foreign(texture, tuple(maps.notes), files)
@@ -375,8 +373,6 @@ class ForeignMaps:
         base, metallic = self.colour("base"), self.scalar("metallic")
         assert base is not None
         specular, level = self.colour("specular"), self.scalar("specular level")
-        if specular is not None and about.f0 is not None:
-            specular = np.minimum(specular * np.float32(about.f0), np.float32(1.0))
         name = self.files["specular"].path.name if "specular" in self.files else ""
         glossy = "gloss" in self.files and metallic is None
         coloured = self.files["base"].diffuse and metallic is None and _is_coloured(specular)
@@ -391,8 +387,7 @@ class ForeignMaps:
             return base, specular[:1] if grey else specular
         if specular is not None:
             self.notes.append(f"not used: {name} (F0 of dielectrics is 0.04)")
-        dielectric = DIELECTRIC if about.f0 is None else about.f0
-        plain = dielectric if level is None else _LEVEL * level
+        plain = DIELECTRIC if level is None else _LEVEL * level
         if metallic is None:
             if _METALS & set(re.findall("[a-z]+", self.files["base"].path.name.lower())):
                 said = "no metallic map: read as dielectric, though its name is a metal's"
