@@ -21,6 +21,9 @@ _STATES = {
 }  # fmt: skip
 
 
+_NOTHING = "&ndash;"
+
+
 def write_index(out: Path, entries: Sequence[BatchEntry]) -> None:
     """Write both files, all or none; they also list materials of earlier batches.
 
@@ -101,27 +104,33 @@ def _pictures(record: dict[str, Any]) -> dict[str, str]:
 
 
 def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
-    state = _shown_state(row)
-    tilt = None
+    state, tilt = _shown_state(row), None
     if row["tilt_x"] is not None:
         tilt = math.hypot(row["tilt_x"], row["tilt_y"])
-    remarks = [row["reason"]] if row["reason"] else []
-    remarks += [*row["warnings"], *row["notes"]]
+    remarks = [*([row["reason"]] if row["reason"] else []), *row["warnings"], *row["notes"]]
     listed = "".join(f"<li>{html.escape(text)}</li>" for text in remarks)
-    return "".join(
-        [
-            f'<tr class="{state.replace(" ", "-")}">',
-            _name_cell(row),
-            f'<td data-label="State" data-key="{state}"><span class=state>{state}</span></td>',
-            f'<td data-label="Pictures" class=pictures><div>{_figures(row, pictures)}</div></td>',
-            _verdict_cell(row),
-            _number("Tilt", tilt, "{:.1f}°".format),
-            _number("Clipped", row["clipped"], "{:.1%}".format),
-            _number("Time", row["seconds"], spoken_duration),
-            f'<td data-label="Remarks" data-key="{len(remarks)}"><ul>{listed}</ul></td>',
-            "</tr>",
-        ]
+    cells = (
+        _name_cell(row),
+        _cell("State", state, f"<span class=state>{state}</span>"),
+        _cell("Pictures", None, f"<div>{_figures(row['name'], pictures)}</div>", " class=pictures"),
+        _cell("Verdict", row["severity"] if row["verdict"] else "", _verdict(row)),
+        _number("Tilt", tilt, "{:.1f}°".format),
+        _number("Clipped", row["clipped"], "{:.1%}".format),
+        _number("Time", row["seconds"], spoken_duration),
+        _cell("Remarks", len(remarks), f"<ul>{listed}</ul>"),
     )
+    return f'<tr class="{state.replace(" ", "-")}">{"".join(cells)}</tr>'
+
+
+def _cell(label: str, key: object, inside: str, more: str = "") -> str:
+    """A cell that is sorted by its key, if it has one."""
+    sorted_by = "" if key is None else f' data-key="{key}"'
+    return f'<td data-label="{label}"{sorted_by}{more}>{inside}</td>'
+
+
+def _number(label: str, value: float | None, say: Callable[[float], str]) -> str:
+    key, text = ("", _NOTHING) if value is None else (value, say(value))
+    return _cell(label, key, text, " class=number")
 
 
 def _shown_state(row: dict[str, Any]) -> str:
@@ -133,22 +142,20 @@ def _shown_state(row: dict[str, Any]) -> str:
     return "doubtful" if row["doubtful"] else "done"
 
 
-def _verdict_cell(row: dict[str, Any]) -> str:
+def _verdict(row: dict[str, Any]) -> str:
     if row["verdict"] is None:
-        return '<td data-label="Verdict" data-key="">&ndash;</td>'
+        return _NOTHING
     word, name = html.escape(row["verdict"]), quote(row["name"])
     command = html.escape(f"matcap view {shlex.quote('./' + row['name'])}")
     return (
-        f'<td data-label="Verdict" data-key="{row["severity"]}">'
         f'<a class="verdict {word}" href="{name}/report.json">{word}</a>'
         f'<small><a href="{name}/">maps</a></small>'
-        f"<details><summary>view</summary><code>{command}</code></details></td>"
+        f"<details><summary>view</summary><code>{command}</code></details>"
     )
 
 
 def _name_cell(row: dict[str, Any]) -> str:
-    name = html.escape(row["name"])
-    inside = name
+    name = inside = html.escape(row["name"])
     if row["state"] == "done":
         inside = f'<a href="{quote(row["name"])}/preview.png">{name}</a>'
     photos = ", ".join(html.escape(Path(photo).name) for photo in row["photographs"])
@@ -156,19 +163,11 @@ def _name_cell(row: dict[str, Any]) -> str:
     return f'<th scope=row data-key="{key}">{inside}<small>{photos}</small></th>'
 
 
-def _figures(row: dict[str, Any], pictures: dict[str, str]) -> str:
-    name = html.escape(row["name"], quote=True)
-    figures = []
-    for label, data in pictures.items():
-        word = html.escape(label.split(":")[0], quote=True)
-        figures.append(
-            f'<figure><img loading=lazy alt="{word} of {name}" title="{html.escape(label)}" '
-            f'src="data:image/jpeg;base64,{html.escape(data, quote=True)}">'
-            f"<figcaption>{word}</figcaption></figure>"
-        )
-    return "".join(figures)
-
-
-def _number(label: str, value: float | None, say: Callable[[float], str]) -> str:
-    key, text = ("", "&ndash;") if value is None else (value, say(value))
-    return f'<td data-label="{label}" data-key="{key}" class=number>{text}</td>'
+def _figures(name: str, pictures: dict[str, str]) -> str:
+    return "".join(
+        f'<figure><img loading=lazy alt="{html.escape(label.split(":")[0], quote=True)} of '
+        f'{html.escape(name, quote=True)}" title="{html.escape(label)}" '
+        f'src="data:image/jpeg;base64,{html.escape(data, quote=True)}">'
+        f"<figcaption>{html.escape(label.split(':')[0])}</figcaption></figure>"
+        for label, data in pictures.items()
+    )

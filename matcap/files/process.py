@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, redirect_stderr
+from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
@@ -134,17 +134,20 @@ class _Silence:
         self._inside = 0
         self._undo = ExitStack()
 
-    def enter(self) -> None:
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Context of one thread."""
         with self._lock:
             self._inside += 1
             if self._inside == 1:
                 self._begin(self._undo)
-
-    def leave(self) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0:
-                self._undo.close()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._inside -= 1
+                if self._inside == 0:
+                    self._undo.close()
 
     @staticmethod
     def _begin(undo: ExitStack) -> None:
@@ -178,14 +181,9 @@ def _is_descriptor_2(stream: object) -> bool:
 _silence = _Silence()
 
 
-@contextmanager
-def quiet_decoders() -> Iterator[None]:
+def quiet_decoders() -> AbstractContextManager[None]:
     """Context in which messages of decoders are suppressed, in all threads."""
-    _silence.enter()
-    try:
-        yield
-    finally:
-        _silence.leave()
+    return _silence.kept()
 
 
 # Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection.

@@ -32,6 +32,7 @@ from matcap.photo.raw_samples import (
     crop_of,
     needs_normalising,
     normalised,
+    numbers,
     raw_page,
     unsupported_pattern,
 )
@@ -52,10 +53,6 @@ _CALIBRATION = (Tag.CameraCalibration1, Tag.CameraCalibration2)
 _FORWARD = (Tag.ForwardMatrix1, Tag.ForwardMatrix2)
 _ILLUMINANTS = (Tag.CalibrationIlluminant1, Tag.CalibrationIlluminant2)
 _SIGNATURES = (Tag.CameraCalibrationSignature, Tag.ProfileCalibrationSignature)
-_TAGS = frozenset(
-    {*_COLOR, *_CALIBRATION, *_FORWARD, *_ILLUMINANTS, *_SIGNATURES}
-    | {Tag.AnalogBalance, Tag.AsShotNeutral, Tag.AsShotWhiteXY}
-)
 # Kelvin of Exif's LightSource, as Adobe's DNG SDK has them.
 _KELVIN = {
     1: 5500.0, 2: 4150.0, 3: 2850.0, 4: 5500.0, 9: 5500.0, 10: 6500.0, 11: 7500.0, 12: 6400.0,
@@ -81,7 +78,7 @@ def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
     """Compute a DNG's conversion; None if it has no matrix for three colours.
 
     Args:
-        tags: values by tag number; rationals as alternating numerators and denominators.
+        tags: TIFF tags of the raw picture, and of the first page, by number.
 
     Raises:
         ValueError, TypeError: the tags are invalid.
@@ -89,11 +86,12 @@ def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
     camera = _Camera.of(tags)
     if camera is None:
         return None
-    neutral, white = _stated_neutral(tags), _stated_white(tags)
+    neutral, stated = _numbers(tags, Tag.AsShotNeutral, 3), _numbers(tags, Tag.AsShotWhiteXY, 2)
     note = ""
-    if neutral is not None:
+    if neutral is not None and neutral.min() > 0.0:
         white = camera.white_of(neutral)
-    elif white is not None:
+    elif stated is not None and stated.min() >= 0.05 and stated.sum() <= 0.95:
+        white = (float(stated[0]), float(stated[1]))
         neutral = camera.neutral_of(white)
         note = "White balance from the file's white point ({:.4f}, {:.4f}).".format(*white)
     else:
@@ -121,15 +119,15 @@ class _Camera:
     @staticmethod
     def of(tags: Mapping[int, Any]) -> _Camera | None:
         color = [_matrix(tags, tag) for tag in _COLOR]
-        known = [_KELVIN.get(_whole(tags.get(tag)), 0.0) for tag in _ILLUMINANTS]
+        known = [_KELVIN.get(int(numbers(tags, tag, (-1.0,))[0]), 0.0) for tag in _ILLUMINANTS]
         # Two matrices are used only if both illuminants are known and differ.
         both = color[1] is not None and min(known) > 0.0 and known[0] != known[1]
         kept = [i for i in (0, 1) if color[i] is not None][: 2 if both else 1]
         if not kept:
             return None
-        gains = _numbers(tags.get(Tag.AnalogBalance))
-        balance = np.diag(gains) if len(gains) == 3 and gains.min() > 0.0 else np.eye(3)
-        signatures = [_text(tags.get(tag)) for tag in _SIGNATURES]
+        gains = _numbers(tags, Tag.AnalogBalance, 3)
+        balance = np.eye(3) if gains is None or gains.min() <= 0.0 else np.diag(gains)
+        signatures = [_text(tags, tag) for tag in _SIGNATURES]
         calibrations = [
             _matrix(tags, tag) if signatures[0] == signatures[1] else None for tag in _CALIBRATION
         ]
@@ -197,40 +195,21 @@ def temperature(white: tuple[float, float]) -> float:
     return float(np.clip(((449.0 * n + 3525.0) * n + 6823.3) * n + 5520.33, 1500.0, 50_000.0))
 
 
-def _stated_neutral(tags: Mapping[int, Any]) -> Matrix | None:
-    values = _numbers(tags.get(Tag.AsShotNeutral))
-    return values if len(values) == 3 and values.min() > 0.0 else None
-
-
-def _stated_white(tags: Mapping[int, Any]) -> tuple[float, float] | None:
-    values = _numbers(tags.get(Tag.AsShotWhiteXY))
-    if len(values) != 2 or values.min() < 0.05 or values.sum() > 0.95:
-        return None
-    return float(values[0]), float(values[1])
+def _numbers(tags: Mapping[int, Any], tag: int, count: int) -> Matrix | None:
+    """So many numbers of a tag; None if it is absent, has others, or a rational over 0."""
+    with np.errstate(all="ignore"):
+        values = numbers(tags, tag, ())
+    return values if len(values) == count and np.isfinite(values).all() else None
 
 
 def _matrix(tags: Mapping[int, Any], tag: int) -> Matrix | None:
-    values = _numbers(tags.get(tag))
-    if len(values) != 9 or not values.any():
-        return None
-    return values.reshape(3, 3)
+    values = _numbers(tags, tag, 9)
+    return None if values is None or not values.any() else values.reshape(3, 3)
 
 
-def _numbers(value: Any) -> Matrix:  # noqa: ANN401
-    """Rationals as numbers; empty if absent or invalid."""
-    parts = np.ravel(np.asarray(() if value is None else value, np.float64))
-    if len(parts) % 2 or not len(parts) or not parts[1::2].all():
-        return np.empty(0)
-    return np.asarray(parts[0::2] / parts[1::2])
-
-
-def _whole(value: Any) -> int:  # noqa: ANN401
-    return -1 if value is None else int(np.ravel(value)[0])
-
-
-def _text(value: Any) -> bytes:  # noqa: ANN401
-    data = value.encode() if isinstance(value, str) else bytes(() if value is None else value)
-    return data.rstrip(b"\0")
+def _text(tags: Mapping[int, Any], tag: int) -> bytes:
+    value = tags[tag].value if tag in tags else b""
+    return (value.encode() if isinstance(value, str) else bytes(value)).rstrip(b"\0")
 
 
 @dataclass(frozen=True)
@@ -300,7 +279,7 @@ def read_corrections(path: Path) -> Corrections:
                 "is read."
             )
         first = of_file.get(Tag.Orientation)
-        stated = {t.code: t.value for one in (page.tags, of_file) for t in one if t.code in _TAGS}
+        stated = {tag.code: tag for one in (page.tags, of_file) for tag in one}
         return Corrections(
             before,
             after,

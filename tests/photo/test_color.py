@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -239,10 +240,12 @@ def tags(matrix, **more):
         "color2": 50722, "own1": 50723, "own2": 50724, "balance": 50727, "neutral": 50728,
         "white": 50729, "forward1": 50964, "forward2": 50965,
     }  # fmt: skip
-    stated = {50721: rationals(np.ravel(matrix)), 50778: more.pop("kind1", 21)}
-    if "kind2" in more:
-        stated[50779] = more.pop("kind2")
-    return stated | {number[name]: rationals(np.ravel(value)) for name, value in more.items()}
+    kinds = {50778: more.pop("kind1", 21), 50779: more.pop("kind2", 0)}
+    stated = {50721: matrix} | {number[name]: value for name, value in more.items()}
+    return {code: SimpleNamespace(value=kind, dtype=3) for code, kind in kinds.items()} | {
+        code: SimpleNamespace(value=rationals(np.ravel(value)), dtype=10)
+        for code, value in stated.items()
+    }
 
 
 @pytest.mark.parametrize(
@@ -307,7 +310,9 @@ def test_calibration_and_analog_balance_are_the_camera_s_own():
     stated = tags(color_matrix(MIXING), own1=own, balance=gains, white=D65)
     expected = np.diag(gains) @ own @ color_matrix(MIXING) @ xyz(D65)
     np.testing.assert_allclose(dng_color(stated).neutral, expected / expected.max(), rtol=1e-5)
-    stated[50931] = "another calibration"  # which the profile's matrices are not for
+    stated[50931] = SimpleNamespace(
+        value="another calibration", dtype=2
+    )  # which the profile's matrices are not for
     expected = np.diag(gains) @ color_matrix(MIXING) @ xyz(D65)
     np.testing.assert_allclose(dng_color(stated).neutral, expected / expected.max(), rtol=1e-5)
 
@@ -348,7 +353,9 @@ def test_a_camera_without_a_colour_matrix_is_noted(tmp_path):
 
 
 def test_a_missing_or_singular_colour_matrix_gives_no_colour():
-    assert dng_color({50728: rationals(NEUTRAL)}) is None
+    without = tags(np.eye(3), neutral=NEUTRAL)
+    del without[50721]
+    assert dng_color(without) is None
     with pytest.raises(ValueError, match="basis|white|singular|Singular"):
         dng_color(tags(np.ones((3, 3)), white=D65))
 
