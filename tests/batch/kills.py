@@ -30,7 +30,7 @@ from simulated.photographs import PhoneCamera, take
 from matcap.flash.geometry import FlashSetup
 
 COMMAND = (sys.executable, "-c", "from matcap.cli.main import run; run()", "batch")
-SMALL = ("--detail", "128", "--size", "64")
+SMALL = ("--preset", "instant", "--detail", "128", "--size", "64")
 # What differs from run to run: times, memory, and the sizes of files that tell of times.
 _TIMES = ("seconds", "stage_seconds", "error_over_time", "peak_bytes", "report.json")
 _PATIENCE = 600.0  # seconds that any batch may take

@@ -35,7 +35,7 @@ from matcap.files.color import (
     srgb_encode,
 )
 from matcap.files.pixels import png_chunk
-from matcap.files.stated_color import StatedColor, lineariser_of, read_profile, stated_color
+from matcap.files.stated_color import StatedColor, lineariser_of, stated_color
 from matcap.photo.dng import dng_color, temperature
 from matcap.photo.load import load_photo
 from matcap.photo.photo import SHOULDER, ToneCurve
@@ -51,19 +51,6 @@ P3_TO_REC709 = np.array(
         [-0.0196376, -0.0786361, 1.0982735],
     ]
 )
-
-
-def test_integer_tables_are_the_curve():
-    codes = np.arange(65536, dtype=np.uint16).reshape(256, 256)[..., None].repeat(3, -1)
-    light = SRGB.lineariser(codes.dtype)(codes)
-    np.testing.assert_allclose(light, srgb_decode(codes / 65535), rtol=1e-6)
-
-
-def test_p3_matrix():
-    space = read_profile(matrix_profile())
-    assert space.name == "Display P3"
-    np.testing.assert_allclose(space.matrix, P3_TO_REC709, atol=5e-4)
-    np.testing.assert_allclose(space.matrix.sum(axis=1), 1.0, atol=1e-12)  # grey stays grey
 
 
 def test_srgb_profiles_change_nothing(codes):
@@ -177,10 +164,6 @@ def test_light_beyond_the_clip_level_stays_beyond_it_both_ways():
     curve = ToneCurve(1.2, SHOULDER)
     assert (curve.developed(np.array([1.5, 4.0])) > 1.0).all()
     assert curve.linear(np.array([1.5, 4.0])) == pytest.approx([1.5, 4.0])
-
-
-def test_by_default_the_curve_is_the_identity():
-    assert ToneCurve().developed(PICTURE) is PICTURE and ToneCurve().linear(PICTURE) is PICTURE
 
 
 @pytest.mark.parametrize(

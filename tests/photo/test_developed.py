@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 from simulated.files import mosaic, write_dng
@@ -20,7 +20,7 @@ from matcap.files.color import srgb_decode
 from matcap.photo import left_out as shrink_module
 from matcap.photo.left_out import shrink, shrunk_size
 from matcap.photo.load import load_photo
-from matcap.photo.photo import Photo, check_size
+from matcap.photo.photo import check_size
 
 # JPEG, PNG, TIFF, HEIC: exact where the format is, marked where it clips, linear light out.
 
@@ -33,17 +33,13 @@ def deep(codes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_eight_bit_codes_are_decoded_exactly(photo_of, codes, suffix):
-    photo = photo_of(codes, f"a.{suffix}")
-    np.testing.assert_allclose(photo.pixels, srgb_decode(codes / 255), rtol=1e-6)
+@pytest.mark.parametrize("bits", [8, 16])
+def test_codes_are_decoded_exactly(tmp_path, codes, deep, suffix, bits):
+    path, stored = tmp_path / f"a.{suffix}", codes if bits == 8 else deep
+    assert cv2.imwrite(str(path), stored[..., ::-1])  # OpenCV's TIFF is LZW-compressed
+    photo = load_photo(path)
+    np.testing.assert_allclose(photo.pixels, srgb_decode(stored / (2**bits - 1)), rtol=1e-6)
     assert not photo.radiometric and photo.original_size == (128, 96)
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_sixteen_bit_codes_are_decoded_exactly(tmp_path, deep, suffix):
-    path = tmp_path / f"a.{suffix}"
-    assert cv2.imwrite(str(path), deep[..., ::-1])  # OpenCV's TIFF is LZW-compressed
-    np.testing.assert_allclose(load_photo(path).pixels, srgb_decode(deep / 65535), rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -62,15 +58,6 @@ def test_kinds_of_tiff_are_read(tmp_path, deep, options):
     stored = np.moveaxis(deep, -1, 0) if "planarconfig" in options else deep
     tifffile.imwrite(path, stored, photometric="rgb", **options)
     np.testing.assert_allclose(load_photo(path).pixels, srgb_decode(deep / 65535), rtol=1e-6)
-
-
-@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
-def test_float_tiff_is_linear(tmp_path, codes, dtype):
-    path = tmp_path / "a.tif"
-    tifffile.imwrite(path, (codes / 255).astype(dtype), photometric="rgb")
-    photo = load_photo(path)
-    np.testing.assert_allclose(photo.pixels, codes / 255, rtol=1e-3)
-    assert not photo.clipped.any() and not photo.radiometric
 
 
 def test_png_gamma_one_is_linear(photo_of, codes):
@@ -129,26 +116,16 @@ def test_a_grey_jpeg_is_read(photo_of, codes):
     np.testing.assert_array_equal(pixels[..., 0], pixels[..., 2])
 
 
-@pytest.mark.parametrize(("suffix", "level", "clipped"), [("png", 254, False), ("png", 255, True)])
+@pytest.mark.parametrize(
+    ("suffix", "level", "clipped"),
+    [("png", 254, False), ("png", 255, True), ("jpg", 253, False), ("jpg", 254, True)],
+)
 def test_any_channel_at_the_limit_clips(photo_of, codes, suffix, level, clipped):
-    codes[10:20, 30:40, 1] = level
-    expected = np.zeros((96, 128), bool)
-    expected[10:20, 30:40] = clipped
-    np.testing.assert_array_equal(photo_of(codes, f"a.{suffix}").clipped, expected)
-
-
-@pytest.mark.parametrize(("level", "clipped"), [(253, False), (254, True)])
-def test_jpeg_limit_leaves_room_for_coding(photo_of, codes, level, clipped):
-    codes[32:64, 32:64] = level
-    photo = photo_of(codes, "a.jpg", quality=100, subsampling=0)
-    assert (photo.clipped[40:56, 40:56] == clipped).all()
-
-
-def test_jpeg_clips_despite_ringing(photo_of, codes):
-    codes[16:64, 16:64] = 255
-    clipped = photo_of(codes, "a.jpg", quality=85).clipped
-    assert clipped[17:63, 17:63].mean() > 0.97
-    assert not clipped[:, 80:].any()
+    """JPEG leaves room for coding."""
+    codes[32:64, 32:64, 1] = level
+    options = {"quality": 100, "subsampling": 0} if suffix == "jpg" else {}
+    photo = photo_of(codes, f"a.{suffix}", **options)
+    assert (photo.clipped[40:56, 40:56] == clipped).all() and not photo.clipped[:, 80:].any()
 
 
 @pytest.mark.parametrize("mark", [b"http://ns.adobe.com/hdr-gain-map/1.0/", b"aux:hdrgainmap"])
@@ -305,13 +282,6 @@ def test_a_quarter_of_the_area_clips(sites, clipped):
     assert (shrink(reader(pixels, mask), 128, 128, 32)[1] == clipped).all()
 
 
-def test_the_mean_is_of_light_not_of_code_values(photo_of):
-    stripes = np.zeros((128, 128, 3), np.uint8)
-    stripes[:, ::2] = 200
-    photo = photo_of(stripes, "a.png", long_side=64)
-    np.testing.assert_allclose(photo.pixels, srgb_decode(np.array(200 / 255)) / 2, rtol=1e-5)
-
-
 @given(st.integers(1, 4000), st.integers(1, 4000), st.integers(1, 5000))
 def test_size_never_grows_and_keeps_its_shape(width, height, long_side):
     new_width, new_height = shrunk_size(width, height, long_side)
@@ -366,11 +336,13 @@ def test_50_megapixels_take_little_more_than_their_pixels(tmp_path):
     assert taken(path, 1024, (8000, 6250), MEAN) < 3 * pixels
 
 
-def test_200_megapixels_are_read_within_2_gib(tmp_path):
-    """As today's phones take them; shrunk while they are decoded."""
-    path, size = tmp_path / "large.jpg", (16320, 12240)
-    Image.linear_gradient("L").resize(size).save(path, quality=80)
-    assert taken(path, 4000, size, MEAN) < 2048
+def test_large_jpegs_are_shrunk_while_they_are_decoded(photo_of, codes, monkeypatch):
+    """200 megapixels of today's phones would take 2 GB."""
+    expected = photo_of(codes, "a.jpg", long_side=64).pixels
+    monkeypatch.setattr("matcap.files.pixels._LARGE", 1000)
+    photo = photo_of(codes, "a.jpg", long_side=64)
+    assert photo.original_size == (128, 96)
+    np.testing.assert_allclose(photo.pixels, expected, atol=0.02)
 
 
 def taken(path, long_side: int, size: tuple[int, int], mean: float) -> float:
@@ -394,26 +366,32 @@ def refuse(path: Path) -> MatcapError:
     return error
 
 
-def test_a_missing_file_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "empty"),
+        (b"Dear diary, today I photographed a wall.\n" * 30, "text file"),
+        (b"%PDF-1.7\n\x80\x81" + bytes(2000), "a PDF document"),
+        (b"\0\0\0\x20ftypisom" + bytes(2000), "a video"),
+        (b"PK\x03\x04\0\0" + bytes(2000), "not a photograph"),
+        (bytes(100_000), "not a photograph"),
+        (b"II*\0\x08\0\0\0", "damaged"),
+        (b"\xff\x0a" + bytes(100), "JPEG XL"),
+        (b"GIF89a" + bytes(100), "GIF"),
+    ],
+    ids=lambda one: str(one)[:20],
+)
+def test_other_files_are_refused_by_what_they_are(tmp_path, data, said):
+    (tmp_path / "a.dng").write_bytes(data)
+    assert said in refuse(tmp_path / "a.dng").what
+
+
+def test_what_is_no_readable_file_is_refused(tmp_path, codes, monkeypatch):
     error = refuse(tmp_path / "none.dng")
     assert "no such file" in error.what and isinstance(error.__cause__, FileNotFoundError)
-
-
-def test_a_directory_is_refused(tmp_path):
     assert "directory" in refuse(tmp_path).what
-
-
-def test_an_empty_file_is_refused(tmp_path):
-    (tmp_path / "a.dng").touch()
-    assert "empty" in refuse(tmp_path / "a.dng").what
-
-
-def test_a_file_that_is_not_regular_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.jpg")  # opening it would wait for ever
     assert "not a file" in refuse(tmp_path / "pipe.jpg").what
-
-
-def test_a_file_without_permission_is_refused(tmp_path, codes, monkeypatch):
     path = tmp_path / "a.png"
     Image.fromarray(codes).save(path)
 
@@ -421,41 +399,22 @@ def test_a_file_without_permission_is_refused(tmp_path, codes, monkeypatch):
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "open", denied)  # chmod would not stop a superuser
-    error = refuse(path)
-    assert "may not be read" in error.what and isinstance(error.__cause__, PermissionError)
+    assert "may not be read" in refuse(path).what
 
 
-@pytest.mark.parametrize("name", ["notes.dng", "notes.jpg", "notes.nef", "notes.xyz"])
-def test_text_with_the_suffix_of_a_picture_is_refused(tmp_path, name):
-    (tmp_path / name).write_text("Dear diary, today I photographed a wall.\n" * 30)
-    assert "text file" in refuse(tmp_path / name).what
-
-
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "dng"])
 @pytest.mark.parametrize(
-    "head", [b"%PDF-1.7\n\x80\x81", b"PK\x03\x04\0\0", b"\0\0\0\x20ftypisom", b"\0"]
-)
-def test_an_unknown_type_is_refused(tmp_path, head):
-    (tmp_path / "a.jpg").write_bytes(head + bytes(2000))
-    assert "not a photograph" in refuse(tmp_path / "a.jpg").what
-
-
-@pytest.mark.parametrize("data", [b"II*\0\x08\0\0\0", bytes(100_000)])
-def test_a_header_alone_and_zeros_are_no_raw(tmp_path, data):
-    (tmp_path / "a.dng").write_bytes(data)
-    refuse(tmp_path / "a.dng")
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
-@pytest.mark.parametrize("shape", [(1, 1), (63, 500), (500, 63)])
-def test_a_too_small_picture_is_refused(tmp_path, suffix, shape):
-    path = tmp_path / f"a.{suffix}"
-    Image.fromarray(np.full((*shape, 3), 128, np.uint8)).save(path)
-    assert "too small" in refuse(path).what
-
-
-def test_a_too_small_raw_is_refused(tmp_path):
-    path = write_dng(tmp_path / "a.dng", mosaic(np.full((40, 90, 3), 0.3)))
-    assert "too small" in refuse(path).what
+    ("shape", "value", "word"),
+    [((1, 1), 128, "too small"), ((63, 500), 128, "too small"), ((500, 63), 128, "too small"),
+     ((96, 128), 0, "all black"), ((96, 128), 255, "all white")],
+)  # fmt: skip
+def test_pictures_that_show_no_material_are_refused(tmp_path, suffix, shape, value, word):
+    path, picture = tmp_path / f"a.{suffix}", np.full((*shape, 3), value, np.uint8)
+    if suffix == "dng":
+        write_dng(path, mosaic(picture / 127.0))
+    else:
+        Image.fromarray(picture).save(path)
+    assert word in refuse(path).what
 
 
 def test_a_header_with_an_absurd_size_is_refused(tmp_path, codes):
@@ -476,20 +435,6 @@ def test_nan_is_refused(tmp_path, light, value):
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, light.astype(np.float32), photometric="rgb")
     assert "NaN or infinity" in refuse(path).what
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
-@pytest.mark.parametrize(("value", "word"), [(0, "all black"), (255, "all white")])
-def test_a_black_picture_is_refused(tmp_path, suffix, value, word):
-    path = tmp_path / f"a.{suffix}"
-    Image.fromarray(np.full((96, 128, 3), value, np.uint8)).save(path)
-    assert word in refuse(path).what
-
-
-@pytest.mark.parametrize(("value", "word"), [(0.0, "all black"), (2.0, "all white")])
-def test_a_black_raw_is_refused(tmp_path, value, word):
-    path = write_dng(tmp_path / "a.dng", mosaic(np.full((96, 128, 3), value)))
-    assert word in refuse(path).what
 
 
 @pytest.fixture(scope="module")
@@ -516,43 +461,8 @@ def test_a_truncated_file_is_refused(tmp_path, whole, form, capfd):
     assert capfd.readouterr() == ("", "")  # what C libraries print stays out of the terminal
 
 
-@pytest.mark.parametrize("form", ["jpg", "png", "tif", "dng"])
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(share=st.floats(0.0, 1.0))
-def test_a_file_cut_anywhere_is_read_or_refused(tmp_path, whole, form, share):
-    path = tmp_path / f"cut.{form}"
-    path.write_bytes(whole[form][: int(share * len(whole[form]))])
-    read_or_refuse(path)
-
-
-@pytest.mark.parametrize("form", ["jpg", "png", "tif", "dng"])
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
-@given(place=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=8), near_start=st.booleans())
-def test_a_file_with_junk_is_read_or_refused(tmp_path, whole, form, place, junk, near_start):
-    data = bytearray(whole[form])
-    at = int(place * (min(400, len(data) - 8) if near_start else len(data) - 8))
-    data[at : at + len(junk)] = junk
-    path = tmp_path / f"junk.{form}"
-    path.write_bytes(data)
-    read_or_refuse(path)
-
-
-def read_or_refuse(path: Path) -> None:
-    try:
-        photo = load_photo(path)
-    except MatcapError as error:
-        assert str(path) in str(error)
-        return
-    assert isinstance(photo, Photo)
-    assert np.isfinite(photo.pixels).all() and photo.pixels.min() >= 0.0
-
-
 def test_unsupported_files_are_not_reported_as_damaged(tmp_path, codes):
-    """Whole files: a JPEG of 12 bits by its frame, lossless ones, TIFFs of rare codings, others."""
+    """Whole files: a JPEG of 12 bits by its frame, lossless ones, TIFFs of rare codings."""
     Image.fromarray(codes).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()
     frame = data.index(b"\xff\xc0")
@@ -568,10 +478,6 @@ def test_unsupported_files_are_not_reported_as_damaged(tmp_path, codes):
     with tifffile.TiffFile(tmp_path / "b.tif", mode="r+") as file:
         file.pages.first.tags["Compression"].overwrite(34925)  # LZMA
     assert "compression LZMA is not supported" in refuse(tmp_path / "b.tif").what
-    heads = {"JPEG XL": b"\xff\x0a", "GIF": b"GIF89a"}
-    for word, head in heads.items():
-        (tmp_path / "c.jpg").write_bytes(head + bytes(100))
-        assert word in refuse(tmp_path / "c.jpg").what
 
 
 def test_bands_without_names_are_no_colours(tmp_path):

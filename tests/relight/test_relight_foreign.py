@@ -441,18 +441,6 @@ def test_cmyk_and_truncated_pictures_are_named(plain):
         read_foreign(folder)
 
 
-def test_unsupported_codings_are_not_reported_as_damaged(plain):
-    """A JPEG of 12 bits: its frame says so, and libjpeg reads 8."""
-    folder, pictures, _ = plain
-    (folder / "a_Color.png").unlink()
-    Image.fromarray(code(pictures["base"])).save(folder / "a_Color.jpg")
-    whole = (folder / "a_Color.jpg").read_bytes()
-    frame = whole.index(b"\xff\xc0") + 4
-    (folder / "a_Color.jpg").write_bytes(whole[:frame] + b"\x0c" + whole[frame + 1 :])
-    with pytest.raises(MatcapError, match="JPEG of 12 bits is not supported"):
-        read_foreign(folder)
-
-
 def test_channels_of_no_known_name_are_refused_rather_than_guessed(plain):
     folder, pictures, _ = plain
     plane = pictures["rough"][..., 0]
@@ -632,12 +620,3 @@ def test_udim_tiles_of_other_programs_are_refused_by_name(plain):
     for file in folder.glob("*.1002.png"):
         file.unlink()
     read_foreign(folder)
-
-
-@pytest.mark.parametrize("suffix", ["jfif", "jpe"])
-def test_jpegs_with_other_suffixes_are_read(plain, suffix):
-    folder, pictures, _ = plain
-    (folder / "a_Color.png").unlink()
-    Image.fromarray(code(pictures["base"])).save(folder / "a.jpg", quality=95)
-    (folder / "a.jpg").rename(folder / f"a_Color.{suffix}")
-    assert read_foreign(folder).files["base"] == f"a_Color.{suffix}"
