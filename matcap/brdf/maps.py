@@ -189,15 +189,6 @@ def specular_channels(stacked: int) -> int:
     return stacked - sum(CHANNELS.values()) + CHANNELS["specular"]
 
 
-def with_colour(stacked: Tensor) -> Tensor:
-    """Stacked maps with F0 in three channels, (..., 8, H, W): one channel is repeated."""
-    if specular_channels(stacked.shape[-3]) == COLOURED:
-        return stacked
-    grey = stacked[..., SPECULAR, :, :]
-    rest = stacked[..., SPECULAR.stop :, :, :]
-    return torch.cat([stacked[..., DIFFUSE, :, :], grey, grey, grey, rest], dim=-3)
-
-
 def split_stacked(stacked: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Diffuse, specular, roughness and height of stacked maps, (..., 6 or 8, H, W)."""
     sizes = {**CHANNELS, "specular": specular_channels(stacked.shape[-3])}

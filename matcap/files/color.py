@@ -105,12 +105,6 @@ def srgb_picture(linear: NDArray[np.float32]) -> NDArray[np.float32]:
     return srgb_encode(clipped)
 
 
-def srgb_decode_tensor(code: Tensor) -> Tensor:
-    """srgb_decode for PyTorch; its gradient is finite everywhere."""
-    power = ((code.clamp_min(_KNEE_CODE) + 0.055) / 1.055).pow(2.4)
-    return (code / 12.92).where(code <= _KNEE_CODE, power)
-
-
 def srgb_encode_tensor(light: Tensor) -> Tensor:
     """srgb_encode for PyTorch; its gradient is finite everywhere."""
     power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055

@@ -1,8 +1,7 @@
 """Kinds of picture files by their first bytes, refusals, and what image decoders do not return.
 
-Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, and the camera's
-intrinsic matrix, by the boxes meta, pitm, iprp, ipco and ipma; of JPEG the segments and coding
-modes; of TIFF the picture that is meant.
+Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, by the boxes meta,
+pitm, iprp, ipco and ipma; of JPEG the segments and coding modes; of TIFF the picture that is meant.
 """
 
 from __future__ import annotations
@@ -181,12 +180,8 @@ class Properties:
     """ICC profile, or None."""
     code_points: tuple[int, int] | None = None
     """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
-    focal_length: float | None = None
-    """From the camera matrix (cmin), in widths of the stored picture, or None."""
     bits: int = 8
     """Bits per channel (pixi), 8 if absent."""
-    sideways: bool = False
-    """Whether decoding rotates the stored picture by 90 or 270 degrees (irot)."""
 
 
 def primary_properties(path: Path) -> Properties:
@@ -218,16 +213,8 @@ def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
         return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
     if name == b"colr" and data[:4] in (b"prof", b"rICC"):
         return replace(properties, profile=data[4:])
-    if name == b"irot":
-        return replace(properties, sideways=bool(data[0] & 1))
     if name == b"pixi" and len(data) > 5:
         return replace(properties, bits=max(data[5 : 5 + data[4]]))
-    if name == b"cmin":
-        # Flags: bits 8 to 12 are log2 of the denominator (ISO/IEC 23008-12, 6.5.43).
-        flags = int.from_bytes(data[1:4], "big")
-        (focal_length,) = struct.unpack_from(">i", data, 4)
-        widths = focal_length / (1 << (flags >> 8 & 31))
-        return replace(properties, focal_length=widths if widths > 0.0 else None)
     return properties
 
 

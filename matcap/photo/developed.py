@@ -24,7 +24,7 @@ from matcap.files.containers import FileKind
 from matcap.files.pixels import Pixels, decoded, linear_colours
 from matcap.files.stated_color import StatedColor, stated_color
 from matcap.photo import hdr_gain_map
-from matcap.photo.exif import Exif, FocalPlane, read_exif
+from matcap.photo.exif import Exif, read_exif
 from matcap.photo.hdr_gain_map import HdrGainMap, applied
 from matcap.photo.left_out import Rows, area_averaged, shrink, shrunk_size
 from matcap.photo.photo import (
@@ -87,7 +87,7 @@ def read_developed(
     exif = _exif(path, kind, pixels)
     if pixels.whole:
         notes = pixels.notes
-        if kind is FileKind.AVIF and (bits := _properties(path).bits) > 8:
+        if kind is FileKind.AVIF and (bits := _avif_bits(path)) > 8:
             notes = (*notes, f"The picture's {bits} bits are read as 8.")
         coded = Coded(
             pixels.colours(),
@@ -116,20 +116,15 @@ def _exif(path: Path, kind: FileKind, pixels: Pixels) -> Exif:
     # Pillow converts an AVIF's rotation to Exif's orientation; a HEIC's has been applied, and the
     # Exif block repeats it.
     exif = read_exif(pixels.info.get("exif") or b"")
-    exif = replace(exif, orientation=1) if kind is FileKind.HEIC else exif
-    properties = _properties(path)
-    if properties.focal_length is None:
-        return exif
-    width = properties.focal_length * pixels.size[1 if properties.sideways else 0]
-    return replace(exif, focal_plane=FocalPlane(width, max(pixels.size)), measured=True)
+    return replace(exif, orientation=1) if kind is FileKind.HEIC else exif
 
 
-def _properties(path: Path) -> containers.Properties:
-    """Properties of a HEIC or AVIF; defaults if its boxes are damaged."""
+def _avif_bits(path: Path) -> int:
+    """Bits per channel; 8 if the file's boxes are damaged."""
     try:
-        return containers.primary_properties(path)
+        return containers.primary_properties(path).bits
     except Exception:  # struct.error, KeyError, IndexError and others on damaged boxes
-        return containers.Properties()
+        return 8
 
 
 def _brightened(coded: Coded, path: Path, kind: FileKind, pixels: Pixels) -> Coded:

@@ -20,7 +20,7 @@ from matcap.files.stated_color import png_chunks, riff_chunks
 # | JPEG, TIFF, RAW | Exif; XMP if Exif has no orientation or focal length |
 # | PNG | eXIf, XMP |
 # | WebP | EXIF and XMP |
-# | HEIC, AVIF | Exif from the decoder; camera matrix (files/containers.py) |
+# | HEIC, AVIF | Exif from the decoder |
 
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
@@ -61,9 +61,7 @@ class Exif:
     film_focal_length: float | None = None
     """FocalLengthIn35mmFilm, mm, or None."""
     focal_plane: FocalPlane | None = None
-    """Stated by FocalLength and FocalPlaneXResolution, or by a camera matrix; or None."""
-    measured: bool = False
-    """Whether focal_plane is a camera matrix, which has precedence."""
+    """Stated by FocalLength and FocalPlaneXResolution, or None."""
     flash_fired: bool | None = None
     """Whether the flash fired; None if unknown."""
     exposure: float | None = None
@@ -86,7 +84,7 @@ class Exif:
         own = self.focal_plane.fov(max(width, height))
         if not _NARROWEST < own < _WIDEST:  # a wrong unit
             return film, ()
-        if self.measured or film is None:
+        if film is None:
             return own, ()
         ratio = tan(radians(own / 2.0)) / tan(radians(film / 2.0))
         if 1.0 / _DIFFERS < ratio < _DIFFERS:

@@ -114,40 +114,27 @@ class HdrGainMap:
         return np.argmax(self.gains >= _FULL_GAIN * self.gains[-1], axis=0).astype(np.uint8)
 
 
-@dataclass(frozen=True)
-class _Numbers:
-    """Metadata of a map after ISO 21496-1, (1 or 3,) each."""
+_Numbers = tuple[NDArray[np.float64], ...]
+"""Least and largest log2 gain, gamma, offsets of base and HDR picture, (1 or 3,) each."""
 
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    """Least and largest log2 gain."""
-    gamma: NDArray[np.float64]
-    base_offset: NDArray[np.float64]
-    offset: NDArray[np.float64]
 
-    def map_of(self, codes: NDArray[np.uint8], form: str) -> HdrGainMap:
-        """The gain map of stored values (h, w, 1 or 3).
+def _map_of(codes: NDArray[np.uint8], numbers: _Numbers, form: str) -> HdrGainMap:
+    """The gain map of stored values (h, w, 1 or 3), by ISO 21496-1.
 
-        Raises:
-            ValueError: the numbers are implausible.
-        """
-        stated = (self.low, self.high, self.gamma, self.base_offset, self.offset)
-        if not all(np.isfinite(each).all() for each in stated) or (self.gamma <= 0.0).any():
-            raise ValueError("its numbers are damaged")
-        if (self.high < self.low).any() or np.abs([self.low, self.high]).max() > _MOST_STOPS:
-            raise ValueError("its numbers are damaged")
-        if len(self.low) > codes.shape[2]:
-            codes = np.repeat(codes, len(self.low), axis=2)
-        value = (np.arange(256) / 255.0)[:, None] ** (1.0 / self.gamma)
-        stops = self.low + (self.high - self.low) * value
-        gains = np.repeat(np.exp2(stops), codes.shape[2] // stops.shape[1], axis=1)
-        return HdrGainMap(
-            codes,
-            gains.astype(np.float32),
-            self.base_offset.astype(np.float32),
-            self.offset.astype(np.float32),
-            form,
-        )
+    Raises:
+        ValueError: the numbers are implausible.
+    """
+    low, high, gamma, base_offset, offset = numbers
+    if not all(np.isfinite(each).all() for each in numbers) or (gamma <= 0.0).any():
+        raise ValueError("its numbers are damaged")
+    if (high < low).any() or np.abs([low, high]).max() > _MOST_STOPS:
+        raise ValueError("its numbers are damaged")
+    if len(low) > codes.shape[2]:
+        codes = np.repeat(codes, len(low), axis=2)
+    stops = low + (high - low) * (np.arange(256) / 255.0)[:, None] ** (1.0 / gamma)
+    gains = np.repeat(np.exp2(stops), codes.shape[2] // stops.shape[1], axis=1)
+    offsets = base_offset.astype(np.float32), offset.astype(np.float32)
+    return HdrGainMap(codes, gains.astype(np.float32), *offsets, form)
 
 
 def has_mark(path: Path) -> bool:
@@ -207,7 +194,7 @@ def of_jpeg(data: bytes, exif: Mapping[int, Any]) -> HdrGainMap:
                 continue
             codes, profile = _decoded(data[begin:])
             if numbers is not None:
-                forms.append((rank, numbers.map_of(codes, form)))
+                forms.append((rank, _map_of(codes, numbers, form)))
             else:
                 forms.append((2, apple(codes, profile, apple_headroom(exif, xmp))))
         except (ValueError, struct.error, IndexError, OSError) as error:
@@ -340,7 +327,7 @@ def _iso_numbers(block: bytes) -> _Numbers:
         values = over / under
     if flags & _BACKWARD or not values[1] > values[0]:
         raise ValueError("its base is the brighter picture")
-    return _Numbers(*values[2:].reshape(channels, 5).T)
+    return tuple(values[2:].reshape(channels, 5).T)
 
 
 def _xmp_numbers(xmp: bytes) -> _Numbers:
@@ -372,4 +359,4 @@ def _xmp_numbers(xmp: bytes) -> _Numbers:
     channels = 3 if max(len(part) for part in parts) > 1 else 1
     if any(len(part) not in (1, channels) for part in parts):
         raise ValueError("its numbers are damaged")
-    return _Numbers(*(np.broadcast_to(part, (channels,)) for part in parts))
+    return tuple(np.broadcast_to(part, (channels,)) for part in parts)

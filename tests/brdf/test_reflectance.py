@@ -34,7 +34,6 @@ from matcap.brdf.maps import (
     SURFACE,
     MapSet,
     normals_from_height,
-    with_colour,
 )
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup, plane_points, project, unproject
@@ -279,15 +278,6 @@ def test_stated_and_stored_channels_must_agree(tmp_path, channels, stated, said)
         assert f'"specular_channels": {channels}' in refused.value.remedy
         file.write_text(json.dumps(document | {"specular_channels": channels}))
         assert len(read_mapset(tmp_path)[0].specular) == channels
-
-
-def test_grey_becomes_three_equal_channels():
-    grey = drawn(1)
-    found = MapSet.from_stacked(with_colour(grey.stacked()), grey.texel_size)
-    assert torch.equal(found.specular, grey.specular.expand(3, -1, -1))
-    for kind in ("diffuse", "roughness", "height"):
-        assert torch.equal(getattr(found, kind), getattr(grey, kind))
-    assert with_colour(found.stacked()).shape == found.stacked().shape
 
 
 def test_without_saturation_a_metal_is_grey_of_its_luminance():

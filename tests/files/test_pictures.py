@@ -19,7 +19,6 @@ from matcap.files.color import (
     LUMINANCE,
     rec709_from,
     srgb_decode,
-    srgb_decode_tensor,
     srgb_encode,
     srgb_encode_tensor,
     srgb_picture,
@@ -259,33 +258,17 @@ def test_no_other_file_has_its_own_luminance_or_srgb_curve():
 WORKED = [(0.0, 0.0), (0.0031308, 0.04045), (0.214041, 0.5), (0.5, 0.735357), (1.0, 1.0)]
 
 
-def encoded(light: float) -> tuple[float, float]:
-    """By NumPy and by PyTorch."""
-    tensor = torch.tensor(light, dtype=torch.float64)
-    return float(srgb_encode(np.array(light))), float(srgb_encode_tensor(tensor))
-
-
-def decoded(code: float) -> tuple[float, float]:
-    tensor = torch.tensor(code, dtype=torch.float64)
-    return float(srgb_decode(np.array(code))), float(srgb_decode_tensor(tensor))
-
-
 @pytest.mark.parametrize(("light", "code"), WORKED)
 def test_srgb_has_the_worked_values(light, code):
-    assert encoded(light) == pytest.approx((code, code), abs=1e-6)
-    assert decoded(code) == pytest.approx((light, light), abs=1e-6)
+    assert srgb_encode(np.array(light)) == pytest.approx(code, abs=1e-6)
+    assert srgb_decode(np.array(code)) == pytest.approx(light, abs=1e-6)
 
 
-@given(st.floats(-0.5, 4.0))
+@given(st.floats(-0.5, 4.0, allow_subnormal=False))
 def test_srgb_encoding_and_decoding_are_inverse(light):
-    code = encoded(light)
-    assert code[0] == pytest.approx(code[1], rel=1e-14, abs=1e-300)
-    assert decoded(code[0]) == pytest.approx((light, light), abs=1e-7)
-
-
-@given(st.floats(0.0, 1.0, allow_subnormal=False))
-def test_srgb_is_inverse_to_full_precision_in_the_dark(light):
-    assert decoded(encoded(light)[0]) == pytest.approx((light, light), rel=1e-12, abs=0.0)
+    code = srgb_encode(np.array(light))
+    assert float(srgb_encode_tensor(torch.tensor(light).double())) == pytest.approx(float(code))
+    assert srgb_decode(code) == pytest.approx(light, rel=1e-12 if 0.0 < light < 1.0 else 1e-7)
 
 
 @pytest.mark.parametrize("knee", [0.0, 0.0031308])
@@ -297,10 +280,9 @@ def test_the_srgb_curve_is_continuous_at_the_knee_with_bounded_slope(knee):
     assert np.isfinite(srgb_encode(np.array([-1.0, 0.0, 1e-320]))).all()
 
 
-@pytest.mark.parametrize("curve", [srgb_encode_tensor, srgb_decode_tensor])
-def test_gradients_on_both_sides_of_the_knee(curve):
+def test_srgb_has_a_gradient_on_both_sides_of_the_knee():
     values = torch.tensor([-0.2, 0.0, 1e-3, 0.02, 0.06, 0.5, 2.0], dtype=torch.float64)
-    assert torch.autograd.gradcheck(curve, values.requires_grad_())
+    assert torch.autograd.gradcheck(srgb_encode_tensor, values.requires_grad_())
 
 
 def test_a_picture_is_clipped():

@@ -91,66 +91,6 @@ def test_focal_plane_resolution_overrides_the_35_mm_focal_length(photo_of, codes
     assert [f"{photo.fov:.1f} taken" in note for note in photo.notes] == ([True] if says else [])
 
 
-@pytest.mark.parametrize("sideways", [False, True])
-def test_a_camera_matrix_overrides_exif(tmp_path, codes, sideways):
-    """ISO/IEC 23008-12's cmin in place of a property that is not needed: pasp made into it."""
-    pillow_heif = pytest.importorskip("pillow_heif")
-    heif = pillow_heif.from_pillow(Image.fromarray(codes))
-    path = tmp_path / "a.heic"
-    heif.save(path, quality=90, exif=exif(1, 26).tobytes())
-    data = path.read_bytes()
-    matrix = struct.pack(">I4s4i", 24, b"cmin", 0x1000, round(0.6 * 65536), 32768, 32768)
-    turn = struct.pack(">I4sB", 9, b"irot", 1) if sideways else b""
-    path.write_bytes(with_properties(data, [matrix] + ([turn] if sideways else [])))
-    photo = load_photo(path)
-    assert photo.original_size == ((96, 128) if sideways else (128, 96))
-    # Six tenths of the stored picture's width, which is the long side whichever way it lies.
-    assert np.tan(np.radians(photo.fov / 2)) == pytest.approx(0.5 / 0.6, rel=1e-3)
-
-
-def with_properties(data: bytes, added: list[bytes]) -> bytes:
-    """A HEIF file with more properties of its first item; offsets in iloc moved with them."""
-    data = bytearray(data)
-    count = data.index(b"ipco") - 4
-    (size,) = struct.unpack_from(">I", data, count)
-    shared, at = 0, count + 8
-    while at < count + size:
-        at += struct.unpack_from(">I", data, at)[0]
-        shared += 1
-    links = data.index(b"ipma") - 4
-    entry = links + 16  # size, name, version and flags, number of items
-    assert struct.unpack_from(">I", data, links + 8)[0] & 1 == 0, "narrow indices"
-    number = data[entry + 2]
-    grown = sum(map(len, added))
-    data[entry + 2] += len(added)
-    indices = bytes(shared + 1 + i for i in range(len(added)))
-    data[entry + 3 + number : entry + 3 + number] = indices
-    data[at:at] = b"".join(added)
-    more = grown + len(indices)
-    for name, by in ((b"ipco", grown), (b"ipma", len(indices)), (b"iprp", more), (b"meta", more)):
-        place = data.index(name) - 4
-        struct.pack_into(">I", data, place, struct.unpack_from(">I", data, place)[0] + by)
-    moved(data, more)
-    return bytes(data)
-
-
-def moved(data: bytearray, by: int) -> None:
-    """Every extent of iloc (version 0 or 1, no base offset) begins later."""
-    at = data.index(b"iloc")
-    version, sizes, bases = data[at + 4], data[at + 8], data[at + 9]
-    assert version in (0, 1) and sizes == 0x44 and bases >> 4 in (0, 4)
-    (items,) = struct.unpack_from(">H", data, at + 10)
-    place = at + 12
-    for _ in range(items):
-        place += (4 if version == 0 else 6) + (bases >> 4)
-        (extents,) = struct.unpack_from(">H", data, place)
-        place += 2
-        for _ in range(extents):
-            (offset,) = struct.unpack_from(">I", data, place)
-            struct.pack_into(">I", data, place, offset + by)
-            place += 8
-
-
 XMP = (
     '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-'
     'syntax-ns#"><rdf:Description xmlns:tiff="http://ns.adobe.com/tiff/1.0/" xmlns:exif="http://ns.'

@@ -30,7 +30,7 @@ from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.material import Material
-from matcap.files.color import srgb_decode_tensor
+from matcap.files.color import srgb_decode
 from matcap.files.pixels import write_picture
 from matcap_lab.bench import relight
 from matcap_lab.experiment import clocked
@@ -366,7 +366,7 @@ def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:
     folder = out / "sheets" / subject.replace(":", "-")
     folder.mkdir(parents=True, exist_ok=True)
     shown = torch.cat([pictures[light] for light in _SHOWN], dim=1)
-    linear = srgb_decode_tensor(shown).permute(1, 2, 0).contiguous().numpy()
+    linear = srgb_decode(shown.permute(1, 2, 0).contiguous().numpy())
     write_picture(linear, folder / f"{name}.png")
 
 

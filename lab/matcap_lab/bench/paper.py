@@ -28,7 +28,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet, with_colour
+from matcap.brdf.maps import COLOURED, DIFFUSE, SPECULAR, MapSet, specular_channels
 from matcap.capture.pipeline import capture_photo, read_photograph
 from matcap.capture.rectified import Method
 from matcap.capture.result import CaptureResult
@@ -335,7 +335,7 @@ def _linear(first: Material, second: Material, share: float, evaluator: Evaluato
     (one, light), (other, light_there) = (
         _blended(first, second, end, evaluator) for end in (0.0, 1.0)
     )
-    maps = torch.lerp(with_colour(one.stacked()), with_colour(other.stacked()), share)
+    maps = torch.lerp(_with_colour(one.stacked()), _with_colour(other.stacked()), share)
     red, green, blue = torch.tensor(light).lerp(torch.tensor(light_there), share).tolist()
     return MapSet.from_stacked(maps, one.texel_size), (red, green, blue)
 
@@ -480,3 +480,12 @@ def _difference(features: ImageFeatures, pair: Tensor) -> Tensor:
         powers = [torch.fft.rfft2(level.float()).abs() for level in (ours, theirs)]
         total = total + SPECTRUM * (powers[0] - powers[1]).abs().mean()
     return total
+
+
+def _with_colour(stacked: Tensor) -> Tensor:
+    """Stacked maps with F0 in three channels, (..., 8, H, W): one channel is repeated."""
+    if specular_channels(stacked.shape[-3]) == COLOURED:
+        return stacked
+    grey = stacked[..., SPECULAR, :, :]
+    rest = stacked[..., SPECULAR.stop :, :, :]
+    return torch.cat([stacked[..., DIFFUSE, :, :], grey, grey, grey, rest], dim=-3)

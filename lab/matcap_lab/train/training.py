@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from matcap.errors import UsageError
-from matcap.files.color import srgb_decode_tensor
+from matcap.files.color import srgb_decode
 from matcap.space.decoder import DecoderConfig
 from matcap.space.encoder import BACKBONES, FEATURES, EncoderConfig, texture
 from matcap.space.prior.store import Prior
@@ -241,8 +241,12 @@ def _pair(model: Model, sample: TrainingSample, bank: FilterBank) -> np.ndarray:
         sample.linear[0],
         sample.render(maps)[0],
         maps.diffuse[0],
-        srgb_decode_tensor(maps.roughness[0].expand(3, -1, -1)),
+        torch.from_numpy(srgb_decode(maps.roughness[0].expand(3, -1, -1).numpy())),
         (maps.specular[0].expand(3, -1, -1)) ** 0.8,
-        srgb_decode_tensor((0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1)),
+        torch.from_numpy(
+            srgb_decode(
+                (0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1).numpy()
+            )
+        ),
     ]
     return np.vstack([srgb_bytes(row.cpu().numpy().transpose(1, 2, 0)) for row in rows])
