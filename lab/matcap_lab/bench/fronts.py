@@ -367,7 +367,7 @@ def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     shown = torch.cat([pictures[light] for light in _SHOWN], dim=1)
     linear = srgb_decode(shown.permute(1, 2, 0).contiguous().numpy())
-    write_picture(linear, folder / f"{name}.png")
+    write_picture(linear.astype("float32"), folder / f"{name}.png")
 
 
 # Tables that `matcap-lab bench report` presents.

@@ -237,16 +237,13 @@ def _pair(model: Model, sample: TrainingSample, bank: FilterBank) -> np.ndarray:
     code = encode(model, sample, targets([sample], bank)[0])
     (maps,) = decode_windows(model.decoder, code, [sample], 7)
     height = maps.height[0] / sample.texel_size
+    relief = (0.5 + (height - height.mean()) / 6.0).clamp(0, 1)
     rows = [
         sample.linear[0],
         sample.render(maps)[0],
         maps.diffuse[0],
         torch.from_numpy(srgb_decode(maps.roughness[0].expand(3, -1, -1).numpy())),
         (maps.specular[0].expand(3, -1, -1)) ** 0.8,
-        torch.from_numpy(
-            srgb_decode(
-                (0.5 + (height - height.mean()) / 6.0).clamp(0, 1).expand(3, -1, -1).numpy()
-            )
-        ),
+        torch.from_numpy(srgb_decode(relief.expand(3, -1, -1).numpy())),
     ]
     return np.vstack([srgb_bytes(row.cpu().numpy().transpose(1, 2, 0)) for row in rows])
