@@ -25,7 +25,6 @@ from matcap.cli.options import (
 from matcap.errors import ExitCode
 
 if TYPE_CHECKING:
-    from matcap.batch.run import Prediction
     from matcap.batch.work import BatchEntry
 
 
@@ -130,13 +129,15 @@ def _document(entry: BatchEntry, out: Path) -> dict[str, Any]:
 
 
 def _print_prediction(
-    entries: Sequence[BatchEntry], prediction: Prediction, *, as_json: bool
+    entries: Sequence[BatchEntry], prediction: dict[str, Any], *, as_json: bool
 ) -> None:
+    from matcap.batch.run import prediction_text
+
     if as_json:
-        typer.echo(json.dumps(prediction.document(entries), indent=2))
+        typer.echo(json.dumps(prediction, indent=2))
         return
     for entry in entries:
         state = {"todo": "to do", "kept": "done", "failed": "cannot be used"}[entry.state]
         photos = ", ".join(photo.name for photo in entry.sample.photos)
         typer.echo(f"{entry.sample.name}: {state} ({entry.reason or photos})")
-    typer.echo(prediction.text())
+    typer.echo(prediction_text(prediction))

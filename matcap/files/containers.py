@@ -317,18 +317,12 @@ def _with_end(path: Path) -> bytes | None:
     data = path.read_bytes().rstrip(b"\0\xff")
     if _END in data[data.rfind(b"\xff\xda") :]:
         return None
-    first = None
-    for filler in _FILLERS:
-        try:
-            picture = JpegImageFile(io.BytesIO(data + filler + _END))
-            picture.load()
-        except (OSError, SyntaxError, ValueError):
-            return None
-        codes = picture.tobytes()
-        if first is not None and codes != first:
-            return None
-        first = codes
-    return data + _END
+    pictures = (JpegImageFile(io.BytesIO(data + filler + _END)) for filler in _FILLERS)
+    try:
+        same = len({picture.tobytes() for picture in pictures}) == 1
+    except (OSError, SyntaxError, ValueError):
+        return None
+    return data + _END if same else None
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
@@ -353,23 +347,9 @@ class Tag(IntEnum):
     TIFF 6.0 with its supplements, TIFF/EP, Exif 2.32, and DNG 1.7.
     """
 
-    ImageWidth = 256
-    ImageLength = 257
-    BitsPerSample = 258
-    Compression = 259
-    StripOffsets = 273
     Orientation = 274
-    RowsPerStrip = 278
-    StripByteCounts = 279
-    Predictor = 317
     WhitePoint = 318
     PrimaryChromaticities = 319
-    TileWidth = 322
-    TileLength = 323
-    TileOffsets = 324
-    TileByteCounts = 325
-    SubIFDs = 330
-    JPEGTables = 347
     XMP = 700
     CFARepeatPatternDim = 33421
     CFAPattern = 33422

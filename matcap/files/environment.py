@@ -51,8 +51,7 @@ def read_picture(path: Path) -> EnvironmentPicture:
     if max(width, height) > _SMALLEST and abs(width / (2.0 * height) - 1.0) > _SHAPE:
         raise MatcapError.at(
             where,
-            f"is {width} x {height} pixels{_looks_like(width, height)}, and a latitude-longitude "
-            "picture is twice as wide as high",
+            f"is {width} x {height} pixels, and such a picture is twice as wide as high",
             _REMEDY,
         )
     return picture
@@ -90,14 +89,3 @@ def _radiance(picture: EnvironmentPicture, where: str) -> EnvironmentPicture:
     pixels = int(below.any(axis=2).sum())
     note(f"{where}: {pixels} pixels are negative, down to {picture.min():.3g}, and set to 0")
     return np.maximum(picture, np.float32(0.0))
-
-
-def _looks_like(width: int, height: int) -> str:
-    """The projection for which a picture's shape is usual, as a clause; "" for none."""
-    usual = {
-        1.0: ", as a mirror ball or an angular map",
-        **dict.fromkeys((4.0 / 3.0, 0.75), ", as a cube map's cross"),
-        **dict.fromkeys((6.0, 1.0 / 6.0), ", as a cube map's strip"),
-    }
-    near = (what for ratio, what in usual.items() if abs(width / height / ratio - 1.0) < 0.01)
-    return next(near, "")

@@ -134,13 +134,10 @@ def as_cube(file):
     return file
 
 
-@pytest.mark.parametrize(
-    ("size", "what"), [((64, 64), "mirror ball"), ((64, 48), "cross"), ((96, 16), "strip"),
-                       ((64, 20), "twice as wide")]
-)  # fmt: skip
-def test_other_projections_are_refused_and_named(tmp_path, size, what):
+@pytest.mark.parametrize("size", [(64, 64), (64, 48), (96, 16)])
+def test_other_projections_are_refused(tmp_path, size):
     write_exr(tmp_path / "a.exr", np.ones((size[1], size[0], 3), np.float32), half=True)
-    with pytest.raises(MatcapError, match=what):
+    with pytest.raises(MatcapError, match="twice as wide"):
         read_picture(tmp_path / "a.exr")
     with pytest.raises(MatcapError, match="a cube map"):
         read_picture(as_cube(exr(tmp_path / "b.exr", np.ones((5, 4, 3)), xxxxxx="A")))
