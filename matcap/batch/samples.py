@@ -8,7 +8,7 @@ import os
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
@@ -30,8 +30,6 @@ from matcap.files.settings import (
 # The photographs of an input folder, grouped by sample.
 
 Grouping = Literal["none", "name", "dir", "time"]
-Taken = Callable[[Path], float | None]
-Brackets = Callable[[Sequence[Path]], list[tuple[Path, ...]]]
 
 # That cameras write with a RAW; .jfif and .jpe are JPEGs as browsers save them.
 _CAMERA = (".jpg", ".jpeg", ".jpe", ".jfif", ".heic", ".heif", ".hif", ".avif")
@@ -70,8 +68,6 @@ def find_samples(
     group: Grouping = "none",
     gap: float = 10.0,
     without: Iterable[Path] = (),
-    taken: Taken | None = None,
-    brackets: Brackets | None = None,
 ) -> list[ShotSample]:
     """List the samples of an input folder, sorted by folder and name.
 
@@ -86,8 +82,6 @@ def find_samples(
             the one before.
         gap: in seconds.
         without: files and folders to ignore.
-        taken: time of a photograph in seconds, or None; by default from its Exif.
-        brackets: groups photographs taken within seconds by place and exposure; each is a sample.
 
     Raises:
         MatcapError: there is no such folder, it may not be read, or it holds no photographs.
@@ -96,10 +90,8 @@ def find_samples(
         what = "this is a file" if source.is_file() else "there is no such folder"
         raise MatcapError.at(source, what, "give a folder of photographs")
     # Importing these takes long, and the command line imports this file at its start.
-    from matcap.capture.bracket import find_brackets
     from matcap.capture.report import files_written
 
-    brackets = brackets or find_brackets
     passed_over = {path.resolve() for path in without}
     grouped: list[tuple[Path, ShotSample]] = []
     for folder, names in _folders(source, passed_over):
@@ -113,11 +105,11 @@ def find_samples(
         if group == "dir":
             runs = [shots]
         elif group == "time":
-            runs = _runs(shots, gap, taken or taken_at)
+            runs = _runs(shots, gap)
         else:
             runs = _by_name(shots) if group == "name" else [[shot] for shot in shots]
             single = [run[0] for run in runs if len(run) == 1]
-            runs = [run for run in runs if len(run) > 1] + _bracketed(single, taken, brackets)
+            runs = [run for run in runs if len(run) > 1] + _bracketed(single)
             runs.sort(key=lambda run: run[0][0])
         for run in runs:
             photos = tuple(photo for photo, _ in run)
@@ -207,9 +199,9 @@ def _shot_of(path: Path) -> str:
     return stem
 
 
-def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]:
+def _runs(shots: Sequence[_Shot], gap: float) -> list[list[_Shot]]:
     """Shots in the order of time, split where two are more than `gap` seconds apart."""
-    timed = [(taken(shot[0]), shot) for shot in shots]
+    timed = [(taken_at(shot[0]), shot) for shot in shots]
     runs: list[list[_Shot]] = []
     last: float | None = None
     for when, shot in sorted(timed, key=lambda item: (item[0] is None, item[0] or 0.0, item[1][0])):
@@ -221,14 +213,14 @@ def _runs(shots: Sequence[_Shot], gap: float, taken: Taken) -> list[list[_Shot]]
     return sorted(runs, key=lambda run: run[0][0])
 
 
-def _bracketed(
-    shots: Sequence[_Shot], taken: Taken | None, brackets: Brackets
-) -> list[list[_Shot]]:
+def _bracketed(shots: Sequence[_Shot]) -> list[list[_Shot]]:
     """Each shot alone, but for the exposures of brackets: neighbours in time by place and light."""
+    from matcap.capture.bracket import find_brackets
+
     every: list[list[_Shot]] = []
-    for run in _runs(shots, _BRACKET_GAP, taken or taken_at):
+    for run in _runs(shots, _BRACKET_GAP):
         by_path = {shot[0]: shot for shot in run}
-        groups = brackets(list(by_path)) if len(run) > 1 else [tuple(by_path)]
+        groups = find_brackets(list(by_path)) if len(run) > 1 else [tuple(by_path)]
         every += [[by_path[path] for path in group] for group in groups]
     return every
 

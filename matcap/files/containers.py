@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -323,6 +324,25 @@ def _with_end(path: Path) -> bytes | None:
     except (OSError, SyntaxError, ValueError):
         return None
     return data + _END if same else None
+
+
+def pillow_reader(kind: FileKind) -> Any:  # noqa: ANN401
+    """Pillow's class of JPEG, WebP or AVIF files; its Image.open refuses large pictures.
+
+    Raises:
+        ImportError: this Pillow has none.
+    """
+    name = {FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}.get(kind, "Jpeg")
+    return getattr(import_module(f"PIL.{name}ImagePlugin"), f"{name}ImageFile")
+
+
+def pillow_info(path: Path, kind: FileKind) -> dict[str, Any]:
+    """Metadata of a JPEG or WebP by Pillow's names, wherever they stand; empty if it is damaged."""
+    try:
+        with path.open("rb") as file:
+            return dict(pillow_reader(kind)(file).info)
+    except Exception:  # Pillow raises anything on broken bytes; decoding the pixels reports them
+        return {}
 
 
 def jpeg_segments(file: BinaryIO) -> Iterator[tuple[int, bytes]]:

@@ -9,7 +9,6 @@ import warnings
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,6 +36,7 @@ from matcap.files.containers import (
     loaded_jpeg,
     meant_picture,
     missing_extra,
+    pillow_reader,
     read_head,
     unreadable,
     unsupported,
@@ -102,8 +102,7 @@ def swap_red_blue(whole: NDArray[Any]) -> NDArray[Any]:
 # pillow-heif, all others by OpenImageIO.
 #
 # Values are not converted, and alpha is not premultiplied. linear_colours() converts by the file's
-# colour space (stated_color.py). Pillow's readers are called directly, because Image.open refuses
-# pictures of more than 178 megapixels, which phones take.
+# colour space (stated_color.py).
 
 _RGB = {"R": 0, "G": 1, "B": 2}
 # Integers of 32 bits are codes as well: 16 bits of them are kept.
@@ -244,15 +243,14 @@ def decoded(
 
 def _by_pillow(path: Path, kind: FileKind, long_side: int | None) -> Pixels:
     """Decode the first picture of a JPEG, WebP or AVIF."""
-    name = {FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}.get(kind, "Jpeg")
     try:
-        plugin = import_module(f"PIL.{name}ImagePlugin")
+        reader = pillow_reader(kind)
     except ImportError as error:
         raise unsupported(path, f"{kind.value} by the Pillow that is installed") from error
     if kind is FileKind.JPEG and (coding := unsupported_jpeg(path)):
         raise unsupported(path, coding)
     with path.open("rb") as file:
-        image: Any = getattr(plugin, f"{name}ImageFile")(file)
+        image = reader(file)
         size = image.size
         check_pixels(path, *size)
         if kind is FileKind.JPEG:

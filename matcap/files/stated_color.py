@@ -283,12 +283,14 @@ def _stated(path: Path, head: bytes, page: int) -> StatedColor:
     kind = containers.kind_of(head)
     if kind is FileKind.PNG:
         return _of_png(dict(png_chunks(path)))
-    if kind is FileKind.JPEG:
-        return _of_jpeg(path)
+    if kind in (FileKind.JPEG, FileKind.WEBP):
+        info = containers.pillow_info(path, kind)
+        if "icc_profile" in info:  # None where one of its parts is missing
+            return StatedColor(info["icc_profile"] or b"incomplete")
+        exif = info.get("exif") if kind is FileKind.JPEG else None
+        return _of_exif(exif) if exif else StatedColor()
     if kind is FileKind.TIFF:
         return _of_tiff(path, page)
-    if kind is FileKind.WEBP:
-        return StatedColor(dict(riff_chunks(path)).get(b"ICCP"))
     if kind not in (FileKind.HEIC, FileKind.AVIF):
         return StatedColor()
     properties = containers.primary_properties(path)
@@ -311,19 +313,6 @@ def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
                 return
             file.seek(4, 1)
             yield head[4:], data
-
-
-def riff_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """(type, data) of a WebP's chunks except image data."""
-    with path.open("rb") as file:
-        file.seek(12)
-        while len(head := file.read(8)) == 8:
-            (size,) = struct.unpack("<I", head[4:])
-            if head[:4] in (b"VP8 ", b"VP8L", b"ALPH", b"ANMF") or size > _MOST_CHUNK:
-                file.seek(size + size % 2, 1)
-                continue
-            yield head[:4], file.read(size)
-            file.seek(size % 2, 1)
 
 
 def _of_png(chunks: dict[bytes, bytes]) -> StatedColor:
@@ -390,16 +379,6 @@ def _inflated(chunk: bytes) -> bytes:
     """The profile of an iCCP chunk: a name, a zero, the method 0, deflated bytes."""
     start = chunk.index(b"\0") + 2
     return zlib.decompressobj().decompress(chunk[start:], _DECODED)
-
-
-def _of_jpeg(path: Path) -> StatedColor:
-    from PIL.JpegImagePlugin import JpegImageFile
-
-    with path.open("rb") as file:
-        info = JpegImageFile(file).info
-    if "icc_profile" in info:  # None where one of its parts is missing
-        return StatedColor(info["icc_profile"] or b"incomplete")
-    return _of_exif(info["exif"]) if info.get("exif") else StatedColor()
 
 
 def _of_tiff(path: Path, page: int) -> StatedColor:

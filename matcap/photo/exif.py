@@ -10,8 +10,8 @@ from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.containers import FileKind, Tag, jpeg_segments, kind_of
-from matcap.files.stated_color import png_chunks, riff_chunks
+from matcap.files.containers import FileKind, Tag, kind_of, pillow_info
+from matcap.files.stated_color import png_chunks
 
 # Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
 #
@@ -26,7 +26,6 @@ from matcap.files.stated_color import png_chunks, riff_chunks
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)
 _PHONE_REACH = tan(radians(33.0))  # half the long side over the distance
-_EXIF, _XMP, _APP1 = b"Exif\0\0", b"http://ns.adobe.com/xap/1.0/\0", 0xE1
 _LARGEST_XMP = 1 << 22  # bytes of XMP that are parsed
 # Millimetres by FocalPlaneResolutionUnit (Exif 2.32); some cameras use 4 and 5.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -137,27 +136,12 @@ def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
         kind = kind_of(file.read(64))
         if kind is FileKind.PNG:
             return _of_png(list(png_chunks(source)))
-        if kind is FileKind.WEBP:
-            chunks = dict(riff_chunks(source))
-            return read_exif(chunks.get(b"EXIF", b""), chunks.get(b"XMP ", b""))
+        if kind in (FileKind.JPEG, FileKind.WEBP):
+            info = pillow_info(source, kind)
+            return read_exif(info.get("exif", b""), info.get("xmp", b""))
         xmp = _xmp_of(source) if kind is FileKind.TIFF else b""
-        if kind is FileKind.JPEG:
-            exif, xmp = _of_jpeg(source)
-            if exif:
-                return read_exif(exif, xmp)
         file.seek(0)
         return _interpret(exif_tags(file), xmp)
-
-
-def _of_jpeg(path: Path) -> tuple[bytes, bytes]:
-    """The Exif block and XMP packet of a JPEG, wherever among its segments they are.
-
-    Parsers look in the first segments alone, which an XMP extension or C2PA may fill.
-    """
-    with path.open("rb") as file:
-        blocks = [data for marker, data in jpeg_segments(file) if marker == _APP1]
-    exif = next((data for data in blocks if data.startswith(_EXIF)), b"")
-    return exif, next((data[len(_XMP) :] for data in blocks if data.startswith(_XMP)), b"")
 
 
 def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:

@@ -151,7 +151,7 @@ def names(samples):
 
 def test_jpegs_of_browsers_are_photographs(tmp_path):
     touch(tmp_path, "a.jfif", "b.jpe", "c.jpg", "d.dng", "d.jfif")
-    found = find_samples(tmp_path, taken=lambda _: None)
+    found = find_samples(tmp_path)
     assert [one.name for one in found] == ["a", "b", "c", "d"]
     assert found[3].superseded == (tmp_path / "d.jfif",)
 
@@ -262,10 +262,11 @@ def test_groups_of_photographs_are_announced(tmp_path):
     assert group_sentences(find_samples(tmp_path)) == []
 
 
-def test_grouped_by_time(tmp_path):
+def test_grouped_by_time(tmp_path, monkeypatch):
     touch(tmp_path, *(f"{letter}.jpg" for letter in "abcdef"))
     seconds = {"a": 100.0, "b": 104.0, "c": 300.0, "d": 95.0, "e": None, "f": None}
-    found = find_samples(tmp_path, group="time", gap=5.0, taken=lambda path: seconds[path.stem])
+    monkeypatch.setattr(identities, "taken_at", lambda path: seconds[path.stem])
+    found = find_samples(tmp_path, group="time", gap=5.0)
     groups = [[photo.stem for photo in sample.photos] for sample in found]
     assert groups == [["c"], ["d", "a", "b"], ["e"], ["f"]]
 
@@ -313,7 +314,7 @@ def test_a_folder_without_photographs_is_refused(tmp_path, name):
 
 
 @pytest.mark.parametrize("group", ["none", "name"])
-def test_exposures_of_one_place_are_one_sample(tmp_path, group):
+def test_exposures_of_one_place_are_one_sample(tmp_path, monkeypatch, group):
     touch(tmp_path, "IMG_0001.jpg", "IMG_0002.jpg", "IMG_0003.jpg", "IMG_0004.jpg", "z.jpg")
     seconds = {"IMG_0001.jpg": 0.0, "IMG_0002.jpg": 2.0, "IMG_0003.jpg": 4.0, "IMG_0004.jpg": 60.0}
     asked = []
@@ -322,9 +323,9 @@ def test_exposures_of_one_place_are_one_sample(tmp_path, group):
         asked.append([path.name for path in paths])
         return [tuple(paths[:2]), tuple(paths[2:])]
 
-    found = find_samples(
-        tmp_path, group=group, taken=lambda path: seconds.get(path.name), brackets=brackets
-    )
+    monkeypatch.setattr(identities, "taken_at", lambda path: seconds.get(path.name))
+    monkeypatch.setattr("matcap.capture.bracket.find_brackets", brackets)
+    found = find_samples(tmp_path, group=group)
     photos = [[path.name for path in sample.photos] for sample in found]
     assert asked == [["IMG_0001.jpg", "IMG_0002.jpg", "IMG_0003.jpg"]]
     assert photos == [
