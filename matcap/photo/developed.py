@@ -103,7 +103,7 @@ def read_developed(
         coded = replace(light(path, colours, white, pixels.notes + notes), opacity=opacity)
     picture = decode(coded, long_side)
     photo = replace(picture.photo, original_size=size)
-    return replace(picture, photo=photo, orientation=exif.orientation), exif
+    return replace(picture, photo=photo), exif
 
 
 def _exif(path: Path, kind: FileKind, pixels: Pixels) -> Exif:

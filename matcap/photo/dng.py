@@ -224,8 +224,6 @@ class Corrections:
     """Whole numbers that LibRaw reads, cannot read (JPEG XL) or misreads; or floating point."""
     crop: Crop | None = None
     """Part of the active area that is the picture; None is all of it."""
-    orientation: int | None = None
-    """EXIF's orientation in the first directory, or None."""
     active_area: tuple[int, int, int, int] | None = None
     """Top, left, bottom, right (the last two excluded) of the area that gain maps refer to, in the
     stored picture; None is all of it."""
@@ -278,14 +276,12 @@ def read_corrections(path: Path) -> Corrections:
                 "The file's crop is off centre: the smallest part around the centre that holds it "
                 "is read."
             )
-        first = of_file.get(Tag.Orientation)
         stated = {tag.code: tag for one in (page.tags, of_file) for tag in one}
         return Corrections(
             before,
             after,
             samples,
             crop,
-            int(first.value) if first is not None and first.value in range(1, 9) else None,
             None if samples == "misread" else area,
             dng_color(stated),
             tuple(notes),

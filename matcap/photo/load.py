@@ -123,8 +123,9 @@ def _read(
         picture = read_float_dng(path, long_side, corrections, white)
     else:
         picture = read_raw(path, long_side, corrections, noise=noise)
-    orientation = corrections.orientation or picture.orientation
-    return replace(picture, orientation=orientation), read_exif(path)
+    if kind is FileKind.DNG:  # whose first directory says it, not the one that LibRaw looks at
+        picture = replace(picture, orientation=None)
+    return picture, read_exif(path)
 
 
 def _photo(picture: Decoded, exif: Exif, fov: float | None, where: str, name: str) -> Photo:
@@ -132,11 +133,12 @@ def _photo(picture: Decoded, exif: Exif, fov: float | None, where: str, name: st
     stored = picture.photo
     _check_light(stored, where)
     width, height = stored.original_size
-    size = (width, height) if picture.orientation < 5 else (height, width)
+    orientation = picture.orientation or exif.orientation
+    size = (width, height) if orientation < 5 else (height, width)
     turned = size[1] > size[0]
 
     def lying(planes: NDArray[Any]) -> NDArray[Any]:
-        standing = upright(planes, picture.orientation)
+        standing = upright(planes, orientation)
         return np.ascontiguousarray(quarter_turn(standing) if turned else standing)
 
     whole = picture.whole or (width, height)

@@ -225,8 +225,8 @@ class Decoded:
 
     photo: Photo
     """Downsampled, its `original_size` as stored; without what the metadata say."""
-    orientation: int = 1
-    """EXIF's 1 to 8, not yet applied."""
+    orientation: int | None = None
+    """EXIF's 1 to 8, not yet applied, by the decoder; None is the metadata's."""
     opacity: NDArray[np.float32] | None = None
     """(h, w) float32 in [0, 1], or None if all is opaque."""
     whole: tuple[int, int] | None = None
