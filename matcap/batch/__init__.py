@@ -1,6 +1,5 @@
 """Batch capture: every photograph of a folder to a material; failures are recorded and reported.
 
-`run` schedules the jobs. `input_folder` lists the photographs, `identity` hashes what a material is
-made from, `record` and `workspace` are the files that hold all state, `work` is a worker's job,
-`worker_pool` the worker processes, `overview` the index page.
+`samples` lists the photographs and settings, `work` is a worker's job and the files that hold all
+state, `worker_pool` the worker processes, `run` schedules the jobs, `overview` is the index page.
 """
