@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 _LARGEST = 32768  # pixels of a side
-_MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
+_MOST_FRAMES = 10_000
 
 
 @dataclass(frozen=True)
@@ -61,16 +61,12 @@ class RelightOptions(CheckedSettings):
         DEFAULT_TOLERANCE, least=0.0, most=1e9, metavar="0..1e9", otherwise="half an 8-bit step"
     )
     """Largest change by skipped effects, in code values from 0 to 1."""
-    explain_map: Path | None = setting(None, metavar="FILE.png")
-    """A picture of the tiles that each effect ran in."""
     animate: Literal["light-orbit", "turntable"] | None = setting(
         None, words=("light-orbit", "turntable")
     )
     """Animation to .gif, .mp4 or numbered .exr."""
     frames: int = setting(48, least=1, most=_MOST_FRAMES)
     """Frames of the animation."""
-    sheet: Size | None = setting(None, metavar="COLUMNSxROWS", parse=values.sides(_MOST_LIGHTS))
-    """A grid of lights in one picture, at most 64 a side."""
     maps_from: Path | None = setting(None)
     """A folder of maps that matcap did not make (ambientCG, Poly Haven names)."""
     normal: NormalStyle | None = setting(None, words=("gl", "dx"))
@@ -107,44 +103,24 @@ def relight(
     from matcap.errors import UsageError
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
-    from matcap.relight.output import (
-        check_path,
-        check_tiles_path,
-        files_of,
-        write_movie,
-        write_still,
-        write_tiles,
-    )
+    from matcap.relight.output import check_path, files_of, write_movie, write_still
     from matcap.relight.render import parse_choice
-    from matcap.relight.scenefile import ANIMATIONS, light_sheet
+    from matcap.relight.scenefile import ANIMATIONS
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
-    animate, sheet, explain_map = asked.animate, asked.sheet, asked.explain_map
+    animate = asked.animate
     if light and scene is not None:
         raise UsageError.at("--light", "a scene has its own lights", "leave it out")
-    if animate is not None and sheet is not None:
-        raise UsageError.at(
-            "--sheet", "--animate writes frames, --sheet one picture", "leave one out"
-        )
     read = chosen(ReadOptions, reading)
     if maps_from is not None and read != ReadOptions(read.generator):
         refused = {"adjust": "are not adjusted", "variety": "have no patches"}
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
         raise UsageError.at(f"--{name}", f"maps of other sources {why}", "leave it out")
-    if explain_map is not None and (animate is not None or sheet is not None):
-        raise UsageError.at(
-            "--explain-map",
-            "the map of effects describes a single picture, not --animate or --sheet",
-            "leave it out",
-        )
     check_path(out, moving=animate is not None)
-    if explain_map is not None:
-        check_tiles_path(explain_map)
     parse_choice(asked.effects)
     outputs = files_of(out, asked.frames if animate else None)
-    outputs += [] if explain_map is None else [explain_map]
     inputs = files_read(path, Path(scene) if scene else None)
     inputs += [] if maps_from is None else [maps_from]
     check_output(outputs, inputs=inputs, overwrite=overwrite)
@@ -154,12 +130,9 @@ def relight(
     limit, effects = asked.tolerance, asked.effects
     renderer = _renderer(path, read, asked, wanted, quiet=quiet)
     film = renderer.film
-    pictures = asked.frames if animate else sheet.width * sheet.height if sheet else 1
-    check_writable(out.parent, 16 * film.width * film.height * pictures)
-    at_once = sheet.width * sheet.height if sheet else 1
-    check_memory(
-        _PIXEL_BYTES * film.width * film.height * at_once, "--size", "ask for a smaller picture"
-    )
+    pixels = film.width * film.height
+    check_writable(out.parent, 16 * pixels * (asked.frames if animate else 1))
+    check_memory(_PIXEL_BYTES * pixels, "--size", "ask for a smaller picture")
     with ShareDisplay.open(quiet=quiet or json) as shown:
         if animate is not None:
             scenes = enumerate(ANIMATIONS[animate](renderer.scene, asked.frames), 1)
@@ -174,16 +147,9 @@ def relight(
             rest = (one.radiance for one in moving)
             write_movie(chain([first.radiance], rest), out, film)
             plan = first.plan
-        elif sheet is not None:
-            picture, plan = light_sheet(
-                renderer, *sheet, tolerance=limit, effects=effects, progress=shown.progress
-            )
-            write_still(picture, out, film)
         else:
             rendering = renderer.render(progress=shown.progress, tolerance=limit, effects=effects)
             write_still(rendering.radiance, out, film)
-            if explain_map is not None:
-                write_tiles(rendering, explain_map)
             plan = rendering.plan
     _report(plan, out, as_json=json, explain=explain)
     printer(quiet=quiet or json)(f"{maps_from or path}: {out}")

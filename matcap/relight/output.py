@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +14,7 @@ from matcap.files.exr import write_exr
 from matcap.files.names import check_suffix
 from matcap.files.output import Output, write_error
 from matcap.files.pixels import png_bytes
-from matcap.relight.plan import TILE
 from matcap.relight.scene import Film
-
-if TYPE_CHECKING:
-    from matcap.relight.render import Rendering
-
-
-# Write radiance to files: exposed and encoded (PNG, GIF, MP4), or linear (EXR).
 
 Radiance = NDArray[np.float32]
 STILLS = (".png", ".exr")
@@ -30,18 +22,11 @@ MOVIES = (".gif", ".mp4", ".exr")
 _FRAMES_PER_SECOND = 24
 # Rows encoded together, to bound memory.
 _STRIP = 256
-# Map of tiles: a panel's longer side and its caption's height in pixels, and panels in a row.
-_PANEL, _CAPTION, _ACROSS = 320, 20, 4
 
 
 def check_path(path: Path, *, moving: bool) -> None:
     """Raise UsageError unless the suffix is a picture's or, if `moving`, an animation's."""
     check_suffix(path, MOVIES if moving else STILLS, "animation" if moving else "picture")
-
-
-def check_tiles_path(path: Path) -> None:
-    """Raise UsageError unless the suffix is .png."""
-    check_suffix(path, (".png",), "map of tiles")
 
 
 def encode(radiance: Radiance, film: Film) -> Radiance:
@@ -69,37 +54,6 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
                     "write it as .exr to see where",
                 )
             file.write_bytes(png_bytes(_codes(radiance, film)))
-
-
-def write_tiles(rendering: Rendering, path: Path) -> None:
-    """Write a PNG with a panel for each effect: the picture, darkened where it did not run.
-
-    Raises:
-        UsageError: another suffix than .png.
-        MatcapError: the file cannot be written.
-    """
-    import cv2
-
-    check_tiles_path(path)
-    height, width = rendering.radiance.shape[:2]
-    small = min(1.0, _PANEL / max(width, height))
-    size = (max(1, round(width * small)), max(1, round(height * small)))
-    picture = cv2.resize(_codes(rendering.radiance, rendering.film), size)
-    panels = []
-    for effect, ran in rendering.tally.maps().items():
-        # Tiles at the border are cut, not squeezed.
-        lit = ran.repeat(TILE, axis=0).repeat(TILE, axis=1)[:height, :width]
-        lit = cv2.resize(lit.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        panel = np.where(lit[..., None], np.maximum(picture, 48), picture // 5)
-        named = np.pad(panel, ((_CAPTION, 2), (2, 2), (0, 0))).astype(np.uint8)
-        text = f"{effect} {100.0 * ran.mean():.0f} %"
-        cv2.putText(named, text, (4, _CAPTION - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3)
-        panels.append(named)
-    columns = min(_ACROSS, len(panels))
-    panels += [np.zeros_like(panels[0])] * (-len(panels) % columns)
-    rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
-    with Output.file(path) as file:
-        file.write_bytes(png_bytes(np.vstack(rows)))
 
 
 def files_of(path: Path, frames: int | None = None) -> list[Path]:

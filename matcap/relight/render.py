@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.files.color import srgb_decode
 from matcap.files.process import cores
-from matcap.relight.block import Block, Hits, ShadingContext, Shape
-from matcap.relight.camera import Array, View, view_of
+from matcap.relight.block import Block, Hits, ShadingContext
+from matcap.relight.camera import Array, view_of
 from matcap.relight.effects import DEFAULT_TOLERANCE, area, direct, environment
 from matcap.relight.effects.entries import EFFECTS
 from matcap.relight.effects.environment import samples_for
@@ -313,7 +313,6 @@ class Renderer:
         self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
         self._horizon_maps = Horizons(self.relief)
         self._environments: dict[EnvironmentLight, Environment] = {}
-        self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
     @property
     def film(self) -> Film:
@@ -345,7 +344,8 @@ class Renderer:
         check_lights(scene.lights)
         film = scene.film or self.film
         choice = parse_choice(effects) if isinstance(effects, str) else effects
-        view, shape = self._seen(scene, film)
+        shape = shape_of(scene.surface, self.texture)
+        view = view_of(scene.camera, film, shape.framed(film))
         lights = (one for one in scene.lights if isinstance(one, EnvironmentLight))
         environments = tuple(self._environment(light) for light in lights)
         region, footprint = shape.region(view, self.relief)
@@ -384,14 +384,6 @@ class Renderer:
             raise too_bright(scene.lights)
         done = plan.done(tally.seconds, tally.shares())
         return Rendering(picture, done, film, perf_counter() - start, tally)
-
-    def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:
-        key = ((scene.camera, film.width, film.height), scene.surface)
-        if key not in self._shapes:
-            shape = shape_of(scene.surface, self.texture)
-            view = view_of(scene.camera, film, shape.framed(film))
-            self._shapes = {key: (view, shape.seen_by(view))}
-        return self._shapes[key]
 
     def _environment(self, light: EnvironmentLight) -> Environment:
         if light not in self._environments:

@@ -69,13 +69,11 @@ class Camera:
 class Surface:
     """Geometry that the material covers."""
 
-    type: Literal["plane", "sphere", "cylinder", "mesh"] = "plane"
-    """A plane, sphere or cylinder around the origin, or a mesh."""
+    type: Literal["plane", "sphere", "cylinder"] = "plane"
+    """A plane, sphere or cylinder around the origin."""
     size: float | None = 2.0
-    """Side of a plane, diameter of a sphere or cylinder (also the cylinder's height), longest side
-    of a mesh, in plane units; None is the maps' own extent."""
-    file: Path | None = None
-    """The mesh, a Wavefront OBJ file."""
+    """Side of a plane, diameter of a sphere or cylinder (also the cylinder's height), in plane
+    units; None is the maps' own extent."""
     repeat: float = 1.0
     """Factor by which the material is shrunk on the surface: 2 fits twice as many texels along a
     side."""

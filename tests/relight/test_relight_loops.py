@@ -95,7 +95,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
 
 
 def test_a_pixel_alone_equals_the_same_pixel_in_a_block():
-    """One hit of a mesh's tip is an array of one place, which is no grid of texels."""
+    """One hit is an array of one place, which is no grid of texels."""
     sampler = Sampler(Texture.from_maps(bumpy(8, 8)), 1.0)
     u, v = (np.array([0.013, 0.4], np.float32) for _ in range(2))
     alone, beside = sampler.read((u[:1], v[:1])), sampler.read((u, v))

@@ -1,7 +1,7 @@
 """Feeds spoilt files to every reader: a MatcapError or a good result, and nothing else.
 
     python tests/cli/fuzz/fuzz.py --count 20000
-    python tests/cli/fuzz/fuzz.py --count 5000 --kinds foreign picture mask mesh
+    python tests/cli/fuzz/fuzz.py --count 5000 --kinds foreign picture mask
 
 A reader fails when anything but a MatcapError of one line escapes, when it takes over 10 seconds,
 when the process grows over 2 GB, or dies. Inputs that fail are kept (--keep) under their number;
@@ -41,14 +41,13 @@ from matcap.files.pixels import read_mask
 from matcap.photo.load import load_photo
 from matcap.relight.foreign.read import read_foreign
 from matcap.relight.scenefile import read_scene
-from matcap.relight.surfaces import load_mesh
 
 LONGEST = 10.0  # seconds
 LARGEST = 2 << 30  # bytes
 # How often each kind comes up.
 _WEIGHTS = {
     "photo": 10, "exr": 3, "picture": 2, "material": 5, "mapset": 2, "scene": 3, "settings": 3,
-    "record": 1, "mesh": 1, "foreign": 3, "mask": 1,
+    "record": 1, "foreign": 3, "mask": 1,
 }  # fmt: skip
 
 
@@ -152,7 +151,7 @@ def _record(path: Path) -> None:
 _READERS = {
     "photo": _photo, "exr": read_exr, "picture": _picture, "material": _material,
     "mapset": read_mapset, "scene": read_scene, "settings": _settings, "record": _record,
-    "mesh": lambda path: load_mesh(path, 2.0), "foreign": _foreign, "mask": _mask,
+    "foreign": _foreign, "mask": _mask,
 }  # fmt: skip
 
 

@@ -104,9 +104,6 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
         json.dumps({"format": "matcap batch record", "version": 1, "identity": "i",
                     "files": {"a": 1}, "seconds": 3.0, "steps": 4})
     )  # fmt: skip
-    (folder / "mesh.obj").write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
-    )
     return {
         "photo": [
             *(folder / name for name in ("plain.dng", "shaded.dng", "exif.jpg")),
@@ -122,7 +119,6 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
         "scene": [folder / "scene.toml"],
         "settings": [folder / "matcap.toml"],
         "record": [folder / "record.json"],
-        "mesh": [folder / "mesh.obj"],
     }
 
 
@@ -225,7 +221,7 @@ def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) ->
         lambda d: _join(d, chance.choice(others), chance),
         lambda d: _fill(d, chance),
     ]
-    if kind in ("scene", "settings", "mapset", "record", "mesh") or data[:1] == b"{":
+    if kind in ("scene", "settings", "mapset", "record") or data[:1] == b"{":
         ways = [lambda d: _reword(d, chance)] * 8 + ways
     if kind == "material":
         ways = [lambda d: _redescribe(d, chance)] * 6 + ways
