@@ -410,7 +410,7 @@ def alone(maps: MapSet, scene: Scene, effects: str) -> np.ndarray:
 def test_every_light_and_effect_gives_each_channel_its_own(light, kind):
     maps = coloured(bumpy(relief=0.03))
     camera = Camera(position=(0.9, -0.5, 1.9), target=(0.0, 0.0, 0.0))
-    scene = Scene(Film(40, 30), camera, Surface(kind, 2.0, None, 1.5), (LIGHTS[light],))
+    scene = Scene(Film(40, 30), camera, Surface(kind, 2.0, 1.5), (LIGHTS[light],))
     found = relight(maps, scene, effects="all")
     np.testing.assert_allclose(found, alone(maps, scene, "all"), rtol=2e-6, atol=1e-7)
     grey = relight(replace(maps, specular=maps.specular.mean(0, keepdim=True)), scene)
