@@ -51,7 +51,7 @@ def view(
         typer.Argument(help="A material, a map set's folder or a capture's folder."),
     ] = Path("."),
     given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
-    reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
+    reading: Annotated[Given, Fields(ReadOptions, but=("normals", "adjust"))] = NOTHING,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -81,8 +81,8 @@ def view(
     references = find_references(path, subject.facts.name, photo, material)
     if html is not None:
         with working("writing the page", quiet=quiet):
-            write_page(sealed_page(subject, asked.tile, references, read.adjustments), html)
+            write_page(sealed_page(subject, asked.tile, references), html)
         printer(quiet=quiet)(f"wrote {html}")
         return
-    app = partial(make_app, subject, references=references, adjust=read.adjustments)
+    app = partial(make_app, subject, references=references)
     serve(app, announce=announce, port=asked.port, opens=asked.opens)

@@ -71,8 +71,6 @@ class Place:
     """Seed of the realisation."""
     share: float = 0.0
     """Share of the second material of a blend."""
-    piece: bool = False
-    """Whether the page is of the exemplar instead of the field."""
 
     @property
     def area(self) -> Rectangle:
@@ -134,9 +132,7 @@ class Pages:
             raise UsageError(says, remedy=f"give one from 0 to {MOST_LEVEL}")
         if max(abs(area.x), abs(area.y)) << level > COORDINATE_LIMIT:
             raise UsageError("this page lies beyond 2^40 texels", remedy="stay nearer")
-        moments, texel_size = self._subject.moments(
-            level, area, seed=place.seed, share=place.share, piece=place.piece
-        )
+        moments, texel_size = self._subject.moments(level, area, seed=place.seed, share=place.share)
         return packed(moments, texel_size)
 
 
@@ -168,23 +164,9 @@ def _halves(planes: Planes) -> bytes:
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
-    *(
-        ".dng",
-        ".jpg",
-        ".jpeg",
-        ".jpe",
-        ".jfif",
-        ".png",
-        ".tif",
-        ".tiff",
-        ".heic",
-        ".avif",
-        ".webp",
-        ".exr",
-        ".hdr",
-    ),
-    *sorted(RAW_SUFFIXES),
-)
+    ".dng", ".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp",
+    ".exr", ".hdr", *sorted(RAW_SUFFIXES),
+)  # fmt: skip
 _DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have
 _OPAQUE = 200  # alpha, of 255, at confidence 0
 

@@ -118,7 +118,6 @@ def test_names_cannot_break_out_of_the_page(material):
         (["{folder}", "--html", "{out}/page.html", "--tile", "65"], "choose a multiple of 16", 2),
         (["{folder}", "--blend", "nowhere.matcap"], "no such file", 3),
         (["{folder}", "--photo", "nowhere.jpg"], "nowhere.jpg", 3),
-        (["{folder}", "--adjust", "shine=1"], "a name of relief", 2),
     ],
 )
 def test_wrong_arguments_are_one_sentence(folder, tmp_path, capsys, arguments, says, code):

@@ -20,7 +20,6 @@ from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
-from matcap.files.exr import write_exr
 from matcap.view.document import SCRIPTS, STYLE
 from matcap.view.level_of_detail import (
     ExampleLevels,
@@ -386,17 +385,6 @@ def test_slopes_at_an_exemplars_border_are_one_sided():
                                rtol=1e-5)  # fmt: skip
 
 
-def test_the_photographed_piece_is_the_exemplar(tmp_path):
-    example = an_example()
-    subject = Materials(a_material(example=example))
-    assert subject.facts.piece == example.exemplar.size
-    wide, tall = example.exemplar.size
-    found, _ = subject.moments(0, Rectangle(0, 0, wide, tall), seed=9, share=0.0, piece=True)
-    assert np.array_equal(found[:4], example.exemplar.stacked()[:4])
-    with pytest.raises(Exception, match="has no exemplar"):
-        Materials(a_material()).moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.0, piece=True)
-
-
 def test_texels_of_low_confidence_are_hatched():
     exemplar = an_example().exemplar
     confidence = exemplar.confidence.copy()
@@ -413,34 +401,6 @@ def test_the_verdict_is_the_captures(tmp_path):
     result = {"verdict": {"rating": "good", "sentence": "It is."}}
     (tmp_path / "report.json").write_text(json.dumps(result))
     assert read_verdict(tmp_path) == ("good", "It is.")
-
-
-def test_surroundings_are_read_as_relight_reads_them(client, tmp_path, monkeypatch):
-    street = np.random.default_rng(0).random((20, 40, 3), np.float32)
-    write_exr(tmp_path / "street.exr", street, half=False)
-    sent = (tmp_path / "street.exr").read_bytes()
-    where = f"/{ADDRESS.token}/surroundings"
-    answer = client.post(where, content=sent)
-    assert json.loads(answer.headers["x-size"]) == [40, 20]
-    assert np.array_equal(np.frombuffer(answer.content, "<f4"), street.ravel())
-    for broken in (b"", b"hello", sent[:-200]):
-        answer = client.post(where, content=broken)
-        assert answer.status_code == 400
-        assert answer.text.startswith("the picture: ") and "\n" not in answer.text
-        assert ".exr" not in answer.text.split(";")[0]
-    assert client.get(where).status_code == 404
-    assert client.post("/wrong/surroundings", content=sent).status_code == 403
-    monkeypatch.setattr("matcap.view.server.LARGEST_FILE", 100)
-    assert client.post(where, content=sent).status_code == 413
-
-
-def test_wide_surroundings_are_averaged_down(client, tmp_path):
-    wide = np.full((2050, 4100, 3), 0.25, np.float32)
-    write_exr(tmp_path / "wide.exr", wide, half=False)
-    sent = (tmp_path / "wide.exr").read_bytes()
-    answer = client.post(f"/{ADDRESS.token}/surroundings", content=sent)
-    assert json.loads(answer.headers["x-size"]) == [2048, 1024]
-    np.testing.assert_allclose(np.frombuffer(answer.content, "<f4"), 0.25, rtol=1e-6)
 
 
 def test_addresses_cannot_be_guessed():

@@ -1,7 +1,6 @@
 // Shows the state in text and on the controls.
 
-import { adjustmentsText } from "./adjust.js";
-import { $, ADJUSTED, CHOICES, make, number, offer, option, showSlider } from "./controls.js";
+import { $, CHOICES, make, number, option, showSlider } from "./controls.js";
 
 const SCALE = 190; // pixels that the scale is long at most
 
@@ -16,8 +15,6 @@ export function describe(about) {
     $("share-row").hidden = false;
     $("share-label").textContent = `Blend with ${about.second}`;
   }
-  $("left-choice").hidden = !about.piece && !about.second;
-  offer("light", "own", false);
   if (about.doubt) {
     $("doubt").src = about.doubt;
     $("doubt").alt = "Shaded where the maps have low confidence";
@@ -43,7 +40,7 @@ export function legend(view) {
   const [low, high] = view.range().map((value) => number(value));
   const said = {
     lit: { point: "point light", studio: "a studio: two soft lamps",
-      window: "a window on the left", dusk: "a low sun", own: "your own picture" }[light],
+      window: "a window on the left", dusk: "a low sun" }[light],
     diffuse: "diffuse albedo, sRGB",
     specular: `specular albedo F0, black ${low} to white ${high}`,
     roughness: `roughness, black ${low} to white ${high}`,
@@ -72,39 +69,33 @@ export function showScale(view) {
 export function showState(view) {
   const { state } = view;
   for (const name of Object.keys(CHOICES)) option(name, state[name]).checked = true;
-  offer("light", "own", Boolean(view.own));
   showSlider("exposure", state.exposure);
   showSlider("lift", state.lamp[2]);
   $("lift-row").hidden = state.light !== "point";
   showSlider("share", state.share);
   if (document.activeElement !== $("seed")) $("seed").value = state.seed;
-  for (const name of ADJUSTED) showSlider(name, state.adjust[name]);
-  $("tint").value = state.adjust.tint;
-  const text = adjustmentsText(state.adjust);
-  $("adjust-text").textContent = text ? `--adjust ${text}` : "";
-  showPiece(view);
+  showWipe(view);
 }
 
 // The wipe with the labels of its sides, and the doubt mask, clipped at the wipe.
-export function showPiece(view) {
+export function showWipe(view) {
   const { state, canvas } = view, shown = view.wiped;
-  const own = state.left !== "second"; // of this material, which verdict and doubt speak of
+  const own = state.left === "photo"; // of this material, which verdict and doubt speak of
   $("wipe").hidden = !shown;
   $("piece").hidden = !shown || !own;
-  $("right-choice").hidden = !shown || !view.piece;
-  $("doubt-row").hidden = !own || (!view.about.verdict && !view.about.doubt);
+  $("doubt-row").hidden = !shown || !own || (!view.about.verdict && !view.about.doubt);
   $("verdict").hidden = !shown || !own || !$("doubted").checked || !view.about.verdict;
   if (!shown) return;
   const at = state.wipe * canvas.clientWidth;
   $("wipe").style.left = `${at}px`;
   $("wipe").setAttribute("aria-valuenow", String(Math.round(100 * state.wipe)));
   $("wipe").setAttribute("aria-valuetext",
-    `${sideOf(view, state.left)} to the left, ${sideOf(view, state.right)} to the right`);
+    `${sideOf(view, state.left)} to the left, ${sideOf(view, "field")} to the right`);
   $("wipe-left").textContent = sideOf(view, state.left);
-  $("wipe-right").textContent = sideOf(view, state.right);
+  $("wipe-right").textContent = sideOf(view, "field");
   if (!own) return;
   $("piece").style.width = `${at}px`;
-  const [left, top, wide, tall] = view.pieceBox;
+  const [left, top, wide, tall] = view.photoBox;
   Object.assign($("doubt").style, {
     left: `${left}px`, top: `${top}px`, width: `${wide}px`, height: `${tall}px`,
   });
@@ -113,7 +104,7 @@ export function showPiece(view) {
 
 function sideOf({ state, about }, side) {
   return {
-    photo: "photograph", flash: "re-rendered, own flash", piece: "the piece, relit",
+    photo: "photograph",
     second: about.second,
     field: state.share > 0 ? "blend" : state.left === "second" ? about.name
       : about.period ? "repeated" : "endless",
