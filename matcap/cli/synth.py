@@ -84,7 +84,7 @@ def synth(
         raise UsageError.at(
             "--export",
             "a texture set cannot be exported",
-            "leave out --udim, or give the material to matcap export --udim",
+            "leave out --udim",
         )
     is_piece = given.get("tile") == "piece"
     if is_piece and {"size", "region"} & {*where}:
