@@ -109,8 +109,7 @@ def test_a_broken_material_beside_the_maps_is_ignored(tmp_path):
 
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "export.md").read_text(encoding="utf-8")
 SHELL = "".join(re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)).splitlines()
-# Of a map set; what needs a material (--udim) is tried in tests/cli.
-EXPORTS = [line for line in SHELL if line.startswith("matcap export") and "--udim" not in line]
+EXPORTS = [line for line in SHELL if line.startswith("matcap export")]
 
 
 LEATHER = MapSetInfo("leather", provenance={"made": "up"})
