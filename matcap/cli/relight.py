@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,12 +30,11 @@ if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
     from matcap.files.settings import Size
     from matcap.relight.plan import Plan
-    from matcap.relight.render import Renderer, Rendering
+    from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
 
 
 _LARGEST = 32768  # pixels of a side
-_MOST_FRAMES = 10_000
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,6 @@ class RelightOptions(CheckedSettings):
         DEFAULT_TOLERANCE, least=0.0, most=1e9, metavar="0..1e9", otherwise="half an 8-bit step"
     )
     """Largest change by skipped effects, in code values from 0 to 1."""
-    animate: Literal["light-orbit", "turntable"] | None = setting(
-        None, words=("light-orbit", "turntable")
-    )
-    """Animation to .gif, .mp4 or numbered .exr."""
-    frames: int = setting(48, least=1, most=_MOST_FRAMES)
-    """Frames of the animation."""
     maps_from: Path | None = setting(None)
     """A folder of maps that matcap did not make (ambientCG, Poly Haven names)."""
     normal: NormalStyle | None = setting(None, words=("gl", "dx"))
@@ -97,19 +90,15 @@ def relight(
     quiet: QuietOption = False,
 ) -> None:
     """Show a material under another light."""
-    from itertools import chain
-
     from matcap.cli.display import ShareDisplay
     from matcap.errors import UsageError
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
-    from matcap.relight.output import check_path, files_of, write_movie, write_still
+    from matcap.relight.output import check_path, write_rendering
     from matcap.relight.render import parse_choice
-    from matcap.relight.scenefile import ANIMATIONS
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
-    animate = asked.animate
     if light and scene is not None:
         raise UsageError.at("--light", "a scene has its own lights", "leave it out")
     read = chosen(ReadOptions, reading)
@@ -118,40 +107,25 @@ def relight(
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
         raise UsageError.at(f"--{name}", f"maps of other sources {why}", "leave it out")
-    check_path(out, moving=animate is not None)
+    check_path(out)
     parse_choice(asked.effects)
-    outputs = files_of(out, asked.frames if animate else None)
     inputs = files_read(path, Path(scene) if scene else None)
     inputs += [] if maps_from is None else [maps_from]
-    check_output(outputs, inputs=inputs, overwrite=overwrite)
+    check_output([out], inputs=inputs, overwrite=overwrite)
     wanted = _scene(scene, light or ["top"], size)
     if list(light) == ["flash"] and maps_from is None:
         wanted = _photographed(path, size) or wanted
-    limit, effects = asked.tolerance, asked.effects
     renderer = _renderer(path, read, asked, wanted, quiet=quiet)
     film = renderer.film
     pixels = film.width * film.height
-    check_writable(out.parent, 16 * pixels * (asked.frames if animate else 1))
+    check_writable(out.parent, 16 * pixels)
     check_memory(_PIXEL_BYTES * pixels, "--size", "ask for a smaller picture")
     with ShareDisplay.open(quiet=quiet or json) as shown:
-        if animate is not None:
-            scenes = enumerate(ANIMATIONS[animate](renderer.scene, asked.frames), 1)
-
-            def rendered(one: Scene, number: int) -> Rendering:
-                done = renderer.render(one, tolerance=limit, effects=effects)
-                shown.progress(number / asked.frames)
-                return done
-
-            moving = (rendered(one, number) for number, one in scenes)
-            first = next(moving)
-            rest = (one.radiance for one in moving)
-            write_movie(chain([first.radiance], rest), out, film)
-            plan = first.plan
-        else:
-            rendering = renderer.render(progress=shown.progress, tolerance=limit, effects=effects)
-            write_still(rendering.radiance, out, film)
-            plan = rendering.plan
-    _report(plan, out, as_json=json, explain=explain)
+        rendering = renderer.render(
+            progress=shown.progress, tolerance=asked.tolerance, effects=asked.effects
+        )
+        write_rendering(rendering.radiance, out, film)
+    _report(rendering.plan, out, as_json=json, explain=explain)
     printer(quiet=quiet or json)(f"{maps_from or path}: {out}")
 
 

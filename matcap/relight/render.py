@@ -295,10 +295,10 @@ def relight(
 
 
 class Renderer:
-    """Renders one material on one surface, under any cameras and lights.
+    """Renders one material in one scene.
 
-    Keeps what does not depend on them from picture to picture: the maps, their mip pyramid, the
-    horizon maps. Animations and light sheets gain by it.
+    Keeps from picture to picture what does not depend on effects: the maps, their mip pyramid, the
+    horizon maps.
     """
 
     def __init__(
@@ -316,13 +316,12 @@ class Renderer:
 
     @property
     def film(self) -> Film:
-        """Size, exposure and transfer of the picture, unless render() is given another scene."""
+        """Size, exposure and transfer of the picture."""
         assert self.scene.film is not None
         return self.scene.film
 
     def render(
         self,
-        scene: Scene | None = None,
         *,
         tolerance: float = DEFAULT_TOLERANCE,
         effects: str | EffectChoice = "auto",
@@ -331,8 +330,6 @@ class Renderer:
         """Render one picture.
 
         Args:
-            scene: camera, film and lights, where not the renderer's own; the surface must be the
-                renderer's.
             tolerance, effects: see relight().
             progress: called with the finished share of the picture, (0, 1], after each block.
 
@@ -340,9 +337,8 @@ class Renderer:
             MatcapError: a light too bright for single precision, or what relight() raises.
         """
         start = perf_counter()
-        scene = scene or self.scene
+        scene, film = self.scene, self.film
         check_lights(scene.lights)
-        film = scene.film or self.film
         choice = parse_choice(effects) if isinstance(effects, str) else effects
         shape = shape_of(scene.surface, self.texture)
         view = view_of(scene.camera, film, shape.framed(film))

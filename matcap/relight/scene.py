@@ -32,7 +32,7 @@ class Film:
     exposure: float = 0.0
     """Exposure value, EV: encoded pictures are multiplied by 2^exposure; EXR radiance is not."""
     transfer: Literal["srgb", "linear"] = "srgb"
-    """Transfer function of encoded pictures (PNG, GIF, MP4)."""
+    """Transfer function of encoded pictures (PNG)."""
 
     @property
     def gain(self) -> float:

@@ -1,4 +1,4 @@
-"""Scene files (TOML), every key checked; named scenes and animations.
+"""Scene files (TOML), every key checked; and named scenes.
 
 The keys of `[film]`, `[camera]`, `[surface]` and each `[[light]]` are the fields of scene.py's
 dataclasses. Files that they name are relative to the scene file.
@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Iterable
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, fields
 from functools import partial
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import nearest
@@ -183,7 +183,7 @@ def _parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> b
     return bool(dot * dot >= (1.0 - 1e-9) * sum(x * x for x in a) * sum(y * y for y in b))
 
 
-# Named scenes, and the scenes of animations.
+# Named scenes.
 
 # A sphere between two softboxes in a dim room.
 _STUDIO = Scene(
@@ -208,7 +208,7 @@ _SUNSET = Scene(
     ),
 )
 
-# A cylinder under two lamps, for the animation `turntable`.
+# A cylinder under two lamps.
 _TURNTABLE = Scene(
     film=Film(640, 640, exposure=0.5),
     camera=Camera(position=(0.0, 1.2, 5.2), fov=28.0),
@@ -237,52 +237,3 @@ def preset(name: str) -> Scene:
             name, "there is no such scene", nearest(name, PRESETS, "or a .toml file")
         )
     return SCENES[name]
-
-
-def light_orbit(scene: Scene, frames: int) -> list[Scene]:
-    """Scenes whose lights, but for environments, turn once about the z axis."""
-    angles = [2.0 * math.pi * index / frames for index in range(frames)]
-    return [
-        replace(scene, lights=tuple(_turned(light, angle, 2) for light in scene.lights))
-        for angle in angles
-    ]
-
-
-def turntable(scene: Scene, frames: int) -> list[Scene]:
-    """Scenes whose surface turns once about the y axis: camera and lights turn the other way."""
-    camera = scene.camera or Camera(position=(0.0, 0.0, 5.0))
-    scenes = []
-    for index in range(frames):
-        angle = -2.0 * math.pi * index / frames
-        lights = tuple(_turned(one, angle, 1) for one in scene.lights)
-        scenes.append(replace(scene, camera=_turned(camera, angle, 1), lights=lights))
-    return scenes
-
-
-Placed = TypeVar("Placed", bound=Camera | Light)
-
-
-def _turned(placed: Placed, angle: float, axis: int) -> Placed:
-    """A camera or light turned about the y (1) or z (2) axis; environments turn about y only."""
-    turned: dict[str, Any] = {
-        one.name: _rotated(getattr(placed, one.name), angle, axis)
-        for one in fields(placed)
-        if one.type == "Vector"
-    }
-    if isinstance(placed, EnvironmentLight) and axis == 1:
-        turned = {"rotation": placed.rotation + math.degrees(angle)}
-    return replace(placed, **turned)
-
-
-def _rotated(
-    vector: tuple[float, float, float], angle: float, axis: int
-) -> tuple[float, float, float]:
-    """A vector turned about y (1) or z (2), anticlockwise seen from the axis's tip."""
-    c, s = math.cos(angle), math.sin(angle)
-    x, y, z = vector
-    if axis == 1:
-        return (c * x + s * z, y, c * z - s * x)
-    return (c * x - s * y, s * x + c * y, z)
-
-
-ANIMATIONS = {"light-orbit": light_orbit, "turntable": turntable}

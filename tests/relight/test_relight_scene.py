@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from relight_samples import bumpy, flat
 from simulated.photographs import PhoneCamera, take
 
@@ -280,26 +279,6 @@ def test_tolerance_and_effects_reach_the_plan(run):
     assert not any(row["on"] for row in plans[1])
 
 
-def test_animations_are_written_in_each_format(run):
-    options = ("--size", "16x12", "--animate", "light-orbit", "--frames", "3", "-q")
-    for out in ("a.gif", "a.mp4", "b.exr"):
-        assert run("m", *options, "-o", out)[0] == 0
-    with Image.open("a.gif") as gif:
-        assert gif.n_frames == 3
-    video = cv2.VideoCapture("a.mp4")
-    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
-    video.release()
-    frames = [read_exr(Path(f"b_{i:04d}.exr")).pixels for i in range(3)]
-    assert frames[0].shape == (12, 16, 3)
-    assert not np.array_equal(frames[0], frames[1])
-
-
-def test_turntable_ends_where_it_began(run):
-    options = ("--scene", "turntable", "--size", "12", "--animate", "turntable", "-q")
-    assert run("m", *options, "--frames", "2", "-o", "b.exr")[0] == 0
-    assert read_exr(Path("b_0001.exr")).pixels.any()
-
-
 def test_maps_of_other_programs_are_relit(run, tmp_path):
     folder = tmp_path / "bricks"
     folder.mkdir()
@@ -316,7 +295,6 @@ def test_maps_of_other_programs_are_relit(run, tmp_path):
     ("arguments", "code", "message"),
     [
         (("m", "-o", "a.gif"), 2, "use .png or .exr"),
-        (("m", "-o", "a.png", "--animate", "light-orbit"), 2, "use .gif, .mp4 or .exr"),
         (("m", "--light", "sun"), 2, "is not a light"),
         (("m", "--scene", "nowhere"), 2, "there is no such scene"),
         (("m", "--scene", "nowhere.toml"), 3, "no such file"),

@@ -198,27 +198,6 @@ def test_an_enclosed_page_draws_metals_as_well(tab, tmp_path):
     assert page.shown() == []
 
 
-def test_colours_stay_while_a_finer_level_appears(tab, served):
-    """Halfway between a coarse form and the sharp one."""
-    flat = metal("gold", 64, 64).map(lambda one: one.mean(dim=(1, 2), keepdim=True))
-    maps = flat.map(lambda one: one.expand(-1, 64, 64).contiguous())
-    with served(Maps(maps, "gold")) as address:
-        page = tab(address.url)
-        whole = picture(page, map="specular", shape="plane")
-        between = page.ask("""() => {
-          const { view } = matcap, { gl, canvas } = view, codes = new Uint8Array(4);
-          const held = [...view.pages.held.values()], { best } = view.wanted();
-          for (const page of held) page.born = page.level > best ? 0 : 1000;
-          const appearing = view.draw(1090);
-          const [x, y] = [canvas.width / 2, canvas.height / 2];
-          gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, codes);
-          return [appearing, ...codes];
-        }""")
-    assert between[0] is True
-    assert np.abs(whole[HEIGHT // 2, WIDTH // 2] * 255 - between[1:4]).max() <= 1
-    assert between[1] > between[3] + 100
-
-
 def test_an_endless_field_from_its_file_and_enclosed(tab, served, tmp_path):
     material = golden()
     material.save(tmp_path / "golden.matcap")

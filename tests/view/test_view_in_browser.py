@@ -159,7 +159,7 @@ FILM = """async (steps) => {
   for (const step of steps) {
     matcap.set(step);
     await frame();
-    view.draw(performance.now());
+    view.draw();
     const codes = new Uint8Array(4 * canvas.width * canvas.height);
     gl.readPixels(0, 0, canvas.width, canvas.height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
     let least = 255;
@@ -309,7 +309,7 @@ def test_no_mode_logs_an_error(tab, served):
             ({ value }) => value);
           const draw = (state) => {
             matcap.set({ ...view.initial(), ...state });
-            view.draw(Infinity, 2);
+            view.draw(2);
             return view.gl.getError() ? [state] : [];
           };
           return of("map").flatMap((map) => of("light").flatMap((light) => [

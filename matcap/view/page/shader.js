@@ -20,7 +20,7 @@ uniform sampler2DArray albedo;   // diffuse, F0
 uniform sampler2DArray surface;  // alpha squared, slopes along x and y, their variance
 uniform sampler2DArray relief;   // height
 uniform sampler2DArray metal;    // F0 of green and blue, where it has a colour
-uniform sampler2D table;      // three texels a cell: its page, the one that appears, how far and what of them
+uniform sampler2D table;      // two texels a cell: its page's layer, place and scale; its level and colour
 uniform vec2 size;            // of the picture, pixels
 uniform vec2 corner;          // its left bottom one
 uniform vec4 middle;          // where the picture's middle lies in its cell, texels; which cell
@@ -68,16 +68,9 @@ Texel readAt(vec2 fromMiddle, float level) {
   // Rounded, so that a texel's centre reads that texel alone.
   vec2 place = floor((middle.xy + fromMiddle * tableScale) * 1024.0 + 0.5) / 1024.0;
   vec2 cell = floor(place / PAGE), along = place - cell * PAGE;
-  ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(3, 1);
-  vec4 under = texelFetch(table, at, 0), over = texelFetch(table, at + ivec2(1, 0), 0);
-  // Weight of the page that fades in, both levels; 1 if the first has a coloured F0, 2 if the
-  // second.
-  vec4 more = texelFetch(table, at + ivec2(2, 0), 0);
-  Texel found = read(under, along, level - more.y, mod(more.w, 2.0) > 0.5);
-  if (more.x <= 0.0) return found;
-  Texel fresh = read(over, along, level - more.z, more.w > 1.5);
-  return Texel(mix(found.diffuse, fresh.diffuse, more.x), mix(found.f0, fresh.f0, more.x),
-    mix(found.surface, fresh.surface, more.x), mix(found.height, fresh.height, more.x));
+  ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(2, 1);
+  vec4 more = texelFetch(table, at + ivec2(1, 0), 0);
+  return read(texelFetch(table, at, 0), along, level - more.x, more.y > 0.5);
 }
 
 vec3 encode(vec3 light) {

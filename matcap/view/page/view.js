@@ -49,8 +49,6 @@ export class View {
     this.loading = new Map();
     this.failure = "";
     this.changed = () => {};
-    this.fades = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.drawn = 0;
   }
 
   initial() {
@@ -177,15 +175,14 @@ export class View {
 
   redraw() {
     if (this.pending) return;
-    this.pending = requestAnimationFrame((now) => {
+    this.pending = requestAnimationFrame(() => {
       this.pending = 0;
       this.#fetch();
       const hurried = this.state.light !== "point" && this.state.map === "lit";
-      const appearing = this.draw(now, hurried ? HURRIED : MIRRORED);
-      if (appearing) this.redraw();
+      this.draw(hurried ? HURRIED : MIRRORED);
       this.changed();
       clearTimeout(this.settling);
-      if (hurried && !appearing && this.loading.size === 0) {
+      if (hurried && this.loading.size === 0) {
         this.settling = setTimeout(() => this.#settle(0), SETTLED);
       }
     });
@@ -200,8 +197,8 @@ export class View {
     if (index + 1 < STRIPS) this.settling = setTimeout(() => this.#settle(index + 1), 0);
   }
 
-  // Draw now; returns whether a page is still fading in.
-  draw(now = Infinity, mirrored = MIRRORED) {
+  // Draw now.
+  draw(mirrored = MIRRORED) {
     const { gl, places, state, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
@@ -218,13 +215,7 @@ export class View {
     gl.uniform1f(places.intensity, intensity);
     gl.uniform1i(places.room, state.light === "point" ? 0 : 1);
     if (state.light !== "point") this.#room();
-    let appearing = false, across = 1;
-    for (const side of this.#sides) {
-      appearing = this.#drawSide(side, across, now) || appearing;
-      across = state.wipe;
-    }
-    this.drawn += 1;
-    return appearing;
+    this.#sides.forEach((side, index) => this.#drawSide(side, index ? state.wipe : 1));
   }
 
   #room() {
@@ -258,17 +249,16 @@ export class View {
     return false;
   }
 
-  #drawSide(side, across, now) {
+  #drawSide(side, across) {
     const { gl, canvas, places } = this, isPhoto = side === "photo";
     gl.uniform1i(places.photographed, isPhoto ? 1 : 0);
     gl.uniform4f(places.bounds, ...(isPhoto ? this.#photographed() : [-3e38, -3e38, 3e38, 3e38]));
-    if (isPhoto && !this.#photograph()) return false; // it will be drawn when it is there
-    const appearing = !isPhoto && this.#drawPages(this.#layerOf(side), now);
+    if (isPhoto && !this.#photograph()) return; // it will be drawn when it is there
+    if (!isPhoto) this.#drawPages(this.#layerOf(side));
     const { bottom, tall } = this.strip || { bottom: 0, tall: canvas.height };
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, bottom, Math.round(across * canvas.width), tall);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    return appearing;
   }
 
   // Pages of a second material are created at the first use.
@@ -278,15 +268,14 @@ export class View {
   }
 
   // Bind textures of a layer for drawing.
-  #drawPages(layer, now) {
+  #drawPages(layer) {
     this.#open(layer);
     const { best, pages } = this.wanted(layer);
     layer.pages.use(pages);
     const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells);
-    const appearing = layer.pages.update(cells, best, columns, rows, now, this.fades);
+    layer.pages.update(cells, best, columns, rows);
     layer.pages.bind(UNIT);
     this.#placed(cells);
-    return appearing;
   }
 
   // Set the uniforms of the position in a table of cells.
@@ -375,7 +364,7 @@ export class View {
           if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
           if (place.layer === this.field) this.texelSize = page.texelSize;
-          this.#open(place.layer).put(place.level, place.column, place.row, page, performance.now());
+          this.#open(place.layer).put(place.level, place.column, place.row, page);
           this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
         },
