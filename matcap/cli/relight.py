@@ -28,6 +28,7 @@ from matcap.relight.effects import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
+    from matcap.example.example import Example
     from matcap.files.settings import Size
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
@@ -162,15 +163,31 @@ def _renderer(
     path: Path, read: ReadOptions, asked: RelightOptions, scene: Scene, *, quiet: bool
 ) -> Renderer:
     from matcap.field.opened import open_source
-    from matcap.relight.foreign.read import read_foreign
     from matcap.relight.render import Renderer
 
     if asked.maps_from is None:
-        return Renderer(open_source(path, read), scene, seed=asked.seed)
+        source = _by_example(path, read) or open_source(path, read)
+        return Renderer(source, scene, seed=asked.seed)
+    from matcap.relight.foreign.read import read_foreign
+
     foreign = read_foreign(asked.maps_from, normal=asked.normal)
     for note in foreign.notes:
         printer(quiet=quiet)(f"{asked.maps_from}: {note}")
     return Renderer(foreign.texture, scene, seed=asked.seed)
+
+
+def _by_example(path: Path, read: ReadOptions) -> Example | None:
+    """A material that rearranges its exemplar, which needs no torch; None for anything else."""
+    from matcap.example.example import read_exemplified
+
+    files = sorted(path.glob("*.matcap")) if path.is_dir() else [path]
+    if len(files) != 1 or files[0].suffix.lower() != ".matcap":
+        return None
+    if read.adjustments.changes or read.normals is not None:
+        return None
+    found = read_exemplified(files[0])
+    by = found and (read.generator or found.default)
+    return found.example.varied(read.variety) if found and by == "example" else None
 
 
 def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:

@@ -9,12 +9,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.example.example import Example
+from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_decode
 from matcap.files.process import cores
 from matcap.relight.block import Block, Hits, ShadingContext
@@ -247,6 +249,9 @@ class MapSource(Protocol):
         """The rectangle whose left top texel is (x, y)."""
 
 
+Source: TypeAlias = "MapSet | MapSource | Example | Texture"
+
+
 @dataclass(frozen=True)
 class Rendering:
     """A picture, with the plan and the times of its rendering."""
@@ -264,7 +269,7 @@ class Rendering:
 
 
 def relight(
-    source: MapSet | MapSource | Texture,
+    source: Source,
     scene: Scene | str = "top",
     *,
     seed: int = 0,
@@ -301,9 +306,7 @@ class Renderer:
     horizon maps.
     """
 
-    def __init__(
-        self, source: MapSet | MapSource | Texture, scene: Scene, *, seed: int = 0
-    ) -> None:
+    def __init__(self, source: Source, scene: Scene, *, seed: int = 0) -> None:
         self.texture = _texture(source, scene, seed)
         self.scene = replace(scene, film=scene.film or Film(*self.texture.size))
         surface = scene.surface
@@ -396,18 +399,19 @@ class Renderer:
         return self._horizon_maps
 
 
-def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> Texture:
-    from matcap.brdf.maps import MapSet
-
+def _texture(source: Source, scene: Scene, seed: int) -> Texture:
     if isinstance(source, Texture):
         return source
+    if isinstance(source, Example):
+        texel_size = source.exemplar.texel_size
+        area = Rectangle(0, 0, *_needed(scene, texel_size))
+        return Texture.from_stacked(source.maps(seed, area, None), texel_size)
+    from matcap.brdf.maps import MapSet
+
     if isinstance(source, MapSet):
         return Texture.from_maps(source)
-    width, height = _needed(scene)
-    texels = scene.surface.repeat / source.texel_size
-    across = min(_LARGEST_READ, max(1, round(width * texels)))
-    down = min(_LARGEST_READ, max(1, round(height * texels)))
-    return Texture.from_maps(source.maps(across, down, seed=seed, x=0, y=0))
+    width, height = _needed(scene, source.texel_size)
+    return Texture.from_maps(source.maps(width, height, seed=seed, x=0, y=0))
 
 
 def _check_relief(texture: Texture, surface: Surface) -> None:
@@ -430,16 +434,18 @@ def _covers(texture: Texture, surface: Surface) -> bool:
     return surface.type == "plane" and side <= min(texture.extent) * (1.0 + 1e-6)
 
 
-def _needed(scene: Scene) -> tuple[float, float]:
-    """Width and height of the material to read for a scene, in plane units of the surface."""
-    size = scene.surface.size or 2.0
-    film = scene.film or Film(1, 1)
-    if scene.surface.type == "plane" and scene.camera is None:
-        return size, size * min(1.0, film.height / film.width)
-    if scene.surface.type in ("sphere", "cylinder"):
+def _needed(scene: Scene, texel_size: float) -> tuple[int, int]:
+    """Width and height of the material to read for a scene, in texels; at most _LARGEST_READ."""
+    kind, size = scene.surface.type, scene.surface.size or 2.0
+    film, width, height = scene.film or Film(1, 1), size, size
+    if kind == "plane" and scene.camera is None:
+        height = size * min(1.0, film.height / film.width)
+    elif kind != "plane":
         # Circumference, pi d; a sphere's from pole to pole is half of it.
-        return 3.1416 * size, size * (1.5708 if scene.surface.type == "sphere" else 1.0)
-    return size, size
+        width, height = 3.1416 * size, size * (1.5708 if kind == "sphere" else 1.0)
+    texels = scene.surface.repeat / texel_size
+    across, down = (min(_LARGEST_READ, max(1, round(side * texels))) for side in (width, height))
+    return across, down
 
 
 def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:

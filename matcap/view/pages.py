@@ -5,11 +5,12 @@ from __future__ import annotations
 import base64
 import os
 from collections import OrderedDict
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -214,15 +215,15 @@ def find_references(
     from matcap.photo.photo import ToneCurve
 
     folder = path if path.is_dir() else path.parent
-    file = photo or find_photograph(path, name) or reported_photograph(folder)
+    report = read_document(folder / "report.json", "matcap report") or {}
+    file = photo or find_photograph(path, name) or reported_photograph(report)
     example = material.part(Example) if material else None
     setup = material.setup if material and example else None
-    report = read_document(folder / "report.json", "matcap report") or {}
     tone = ToneCurve.of_report(report)
     return References(
         browser_picture(file, setup, tone) if file else None,
         doubt_picture(example.exemplar) if example else None,
-        read_verdict(folder),
+        verdict_of(report),
     )
 
 
@@ -236,20 +237,19 @@ def find_photograph(path: Path, name: str) -> Path | None:
     return None
 
 
-def reported_photograph(folder: Path) -> Path | None:
+def reported_photograph(report: Mapping[str, Any]) -> Path | None:
     """The photograph whose path a capture's report has, if it exists."""
     try:
-        file = Path((read_document(folder / "report.json") or {})["photograph"]["path"])
+        file = Path(report["photograph"]["path"])
     except (KeyError, TypeError):
         return None
     return file if file.is_file() else None
 
 
-def read_verdict(folder: Path) -> tuple[str, str] | None:
+def verdict_of(report: Mapping[str, Any]) -> tuple[str, str] | None:
     """(rating, sentence) of the verdict in a capture's report, or None."""
     try:
-        verdict = (read_document(folder / "report.json") or {})["verdict"]
-        return str(verdict["rating"]), str(verdict["sentence"])
+        return str(report["verdict"]["rating"]), str(report["verdict"]["sentence"])
     except (KeyError, TypeError):
         return None
 

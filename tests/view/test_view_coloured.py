@@ -9,7 +9,7 @@ import torch
 from example.exemplars import an_example
 from four_metals import METALS, metal, repeated, side_by_side
 from materials import a_material
-from shown import HEIGHT, STEP, WIDTH, around, expected, inner, picture, room_light  # fmt: skip
+from shown import STEP, WIDTH, around, expected, inner, picture, room_light  # fmt: skip
 
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle

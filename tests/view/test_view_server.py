@@ -39,7 +39,7 @@ from matcap.view.pages import (
     Place,
     References,
     doubt_picture,
-    read_verdict,
+    verdict_of,
 )
 from matcap.view.subject import Maps, Materials
 
@@ -394,13 +394,9 @@ def test_texels_of_low_confidence_are_hatched():
     assert shade[:40].min() > 150 and not shade[40:].any()
 
 
-def test_the_verdict_is_the_captures(tmp_path):
-    assert read_verdict(tmp_path) is None
-    (tmp_path / "report.json").write_text("[]")
-    assert read_verdict(tmp_path) is None
-    result = {"verdict": {"rating": "good", "sentence": "It is."}}
-    (tmp_path / "report.json").write_text(json.dumps(result))
-    assert read_verdict(tmp_path) == ("good", "It is.")
+def test_the_verdict_is_the_captures():
+    assert verdict_of({}) is verdict_of({"verdict": 3}) is None
+    assert verdict_of({"verdict": {"rating": "good", "sentence": "It is."}}) == ("good", "It is.")
 
 
 def test_addresses_cannot_be_guessed():
