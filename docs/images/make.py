@@ -94,12 +94,12 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.pages import Pages, find_references
+    from matcap.view.pages import Pages, reference_photograph
     from matcap.view.server import listen, make_app, new_address
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])
-    beside = find_references(paths[0], subject.facts.name, None, subject.first.exemplar)
+    beside = reference_photograph(paths[0], subject.facts.name, None, subject.first.exemplar)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
     app = make_app(subject, address, Pages, beside)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import LARGEST_HALF
 from matcap.files.names import check_suffix
-from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, References
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture
 from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
 
 if TYPE_CHECKING:
@@ -96,26 +96,23 @@ def page_file(name: str) -> str:
     return (files("matcap.view") / "page" / name).read_text(encoding="utf-8")
 
 
-def served_page(facts: ViewFacts, references: References) -> str:
+def served_page(facts: ViewFacts, photo: EncodedPicture | None) -> str:
     """The document that fetches scripts and pages from its server."""
     head = f'<link rel="stylesheet" href="{STYLE}">'
     scripts = f'<script type="module" src="{SCRIPTS[-1]}"></script>'
-    about = _about(facts, references) | {
-        "photo": references.photo and "photo",
-        "doubt": references.doubt and "doubt",
-    }
+    about = _about(facts) | {"photo": photo and "photo"}
     return _document(facts.name, head, scripts, about)
 
 
 def sealed_page(
-    subject: Viewable, size: int = DEFAULT_TILE, references: References | None = None
+    subject: Viewable, size: int = DEFAULT_TILE, photo: EncodedPicture | None = None
 ) -> str:
     """The self-contained document, with a seamless tile of the subject.
 
     Args:
         subject: a material, whose field is made periodic, or a map set as it is.
         size: sides of a material's tile in texels, a multiple of 16.
-        references: photograph, doubt mask and verdict.
+        photo: the photograph.
 
     Raises:
         UsageError: a size out of range or not a multiple of 16; a map set that is too large.
@@ -131,10 +128,8 @@ def sealed_page(
     exports = r"^export |^import \{[^}]*\}\s+from [^;]*;\n"
     joined = re.sub(exports, "", joined, flags=re.MULTILINE)
     scripts = f'<script type="module">\n{joined}</script>'
-    references = references or References()
-    about = _about(facts, references) | {
-        "photo": references.photo and references.photo.url,
-        "doubt": references.doubt and references.doubt.url,
+    about = _about(facts) | {
+        "photo": photo and photo.url,
         "second": "",
         "period": list(maps.size),
         "tile": packed_tile(maps),
@@ -180,14 +175,10 @@ def _tile(subject: Viewable, size: int) -> MapSet:
     return subject.maps
 
 
-def _about(facts: ViewFacts, references: References) -> dict[str, Any]:
-    """The element `about`, of a served document without pictures."""
+def _about(facts: ViewFacts) -> dict[str, Any]:
+    """The element `about`, of a served document without a photograph."""
     form = {"width": WIDTH, "height": PAGE_HEIGHT, "apron": APRON, "mips": MIPS}
-    return asdict(facts) | {
-        "page": form,
-        "verdict": references.verdict,
-        **dict.fromkeys(("photo", "doubt", "tile")),
-    }
+    return asdict(facts) | {"page": form, "photo": None, "tile": None}
 
 
 def _document(title: str, head: str, scripts: str, about: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Rectangles of the plane that the browser fetches, and reference data of a capture."""
+"""Rectangles of the plane that the browser fetches, and the photograph."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.files.names import read_document
-from matcap.files.pixels import jpeg_bytes, png_bytes
+from matcap.files.pixels import jpeg_bytes
 from matcap.photo.load import RAW_SUFFIXES
 from matcap.view.level_of_detail import (
     ALBEDO,
@@ -34,7 +34,6 @@ from matcap.view.level_of_detail import (
 from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
-    from matcap.example.exemplar import Exemplar
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
     from matcap.photo.photo import ToneCurve
@@ -161,15 +160,13 @@ def _halves(planes: Planes) -> bytes:
     return np.ascontiguousarray(planes.transpose(1, 2, 0)).astype("<f2").tobytes()
 
 
-# Reference data of a material in the viewer: photograph, verdict of its capture, doubt mask.
+# The photograph of a material.
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
     ".dng", ".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp",
     ".exr", ".hdr", *sorted(RAW_SUFFIXES),
 )  # fmt: skip
-_DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have
-_OPAQUE = 200  # alpha, of 255, at confidence 0
 
 
 @dataclass(frozen=True)
@@ -187,22 +184,10 @@ class EncodedPicture:
         return f"data:{self.kind};base64,{base64.b64encode(self.data).decode()}"
 
 
-@dataclass(frozen=True)
-class References:
-    """Reference data of a material; None for what does not exist."""
-
-    photo: EncodedPicture | None = None
-    """The photograph, rectified where the material has an exemplar."""
-    doubt: EncodedPicture | None = None
-    """Overlay of the exemplar, more opaque where its confidence is lower."""
-    verdict: tuple[str, str] | None = None
-    """(rating, sentence) of the capture's verdict."""
-
-
-def find_references(
+def reference_photograph(
     path: Path, name: str, photo: Path | None = None, material: Material | None = None
-) -> References:
-    """Collect the reference data of a material or map set, from its folder and its file.
+) -> EncodedPicture | None:
+    """The photograph of a material or map set, rectified where the material has an exemplar.
 
     Args:
         path: of its file or folder.
@@ -217,14 +202,8 @@ def find_references(
     folder = path if path.is_dir() else path.parent
     report = read_document(folder / "report.json", "matcap report") or {}
     file = photo or find_photograph(path, name) or reported_photograph(report)
-    example = material.part(Example) if material else None
-    setup = material.setup if material and example else None
-    tone = ToneCurve.of_report(report)
-    return References(
-        browser_picture(file, setup, tone) if file else None,
-        doubt_picture(example.exemplar) if example else None,
-        verdict_of(report),
-    )
+    setup = material.setup if material and material.part(Example) else None
+    return browser_picture(file, setup, ToneCurve.of_report(report)) if file else None
 
 
 def find_photograph(path: Path, name: str) -> Path | None:
@@ -244,14 +223,6 @@ def reported_photograph(report: Mapping[str, Any]) -> Path | None:
     except (KeyError, TypeError):
         return None
     return file if file.is_file() else None
-
-
-def verdict_of(report: Mapping[str, Any]) -> tuple[str, str] | None:
-    """(rating, sentence) of the verdict in a capture's report, or None."""
-    try:
-        return str(report["verdict"]["rating"]), str(report["verdict"]["sentence"])
-    except (KeyError, TypeError):
-        return None
 
 
 def browser_picture(
@@ -280,13 +251,3 @@ def browser_picture(
     if photo.turned if setup is None else setup.turned:
         linear = standing(linear)
     return EncodedPicture(jpeg_bytes(linear, 88), "image/jpeg")
-
-
-def doubt_picture(exemplar: Exemplar) -> EncodedPicture:
-    """Overlay of an exemplar as PNG: _DOUBT with alpha _OPAQUE (1 - mean confidence)."""
-    step = max(1, max(exemplar.size) // _LONG_SIDE)
-    trusted = exemplar.confidence.mean(axis=0)[::step, ::step]
-    shade = np.empty((*trusted.shape, 4), np.uint8)
-    shade[..., :3] = _DOUBT
-    shade[..., 3] = np.rint(_OPAQUE * (1.0 - trusted))
-    return EncodedPicture(png_bytes(shade), "image/png")

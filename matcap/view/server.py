@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.pages import Page, Pages, Place, References
+from matcap.view.pages import EncodedPicture, Page, Pages, Place
 from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
@@ -73,15 +73,16 @@ def make_app(
     subject: Viewable,
     address: Address,
     pages: PagesOf,
-    references: References | None = None,
+    photo: EncodedPicture | None = None,
 ) -> Starlette:
     """The server's application for one subject.
 
     Args:
         address: whose token and host requests must have.
         pages: returns the pages of a subject.
+        photo: the photograph.
     """
-    routes = _subject_routes(subject, pages(subject), references or References())
+    routes = _subject_routes(subject, pages(subject), photo)
     return _guarded(routes, address)
 
 
@@ -114,21 +115,21 @@ def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
     return part
 
 
-def _subject_routes(subject: Viewable, pages: Pages, references: References) -> list[BaseRoute]:
+def _subject_routes(
+    subject: Viewable, pages: Pages, photo: EncodedPicture | None
+) -> list[BaseRoute]:
     from starlette.responses import HTMLResponse, PlainTextResponse, Response
     from starlette.routing import Route
 
-    page = served_page(subject.facts, references)
-    pictures = {"photo": references.photo, "doubt": references.doubt}
+    page = served_page(subject.facts, photo)
 
     async def whole(_: Request) -> Response:
         return HTMLResponse(page)
 
-    async def picture(request: Request) -> Response:
-        wanted = pictures[request.url.path.rpartition("/")[2]]
-        if wanted is None:
+    async def picture(_: Request) -> Response:
+        if photo is None:
             return PlainTextResponse("There is no such picture.", 404)
-        return Response(wanted.data, media_type=wanted.kind)
+        return Response(photo.data, media_type=photo.kind)
 
     async def alive(_: Request) -> Response:
         return Response(status_code=204)
@@ -141,7 +142,7 @@ def _subject_routes(subject: Viewable, pages: Pages, references: References) -> 
 
     return [
         Route("/", whole),
-        *(Route(f"/{name}", picture) for name in pictures),
+        Route("/photo", picture),
         Route("/alive", alive),
         Route("/page", texels),
         Route("/{name}", _parts(SCRIPTS)),

@@ -31,7 +31,7 @@ from matcap.relight.output import encode
 from matcap.relight.scene import Film
 from matcap.space.between import blend
 from matcap.view.document import sealed_page
-from matcap.view.pages import EncodedPicture, References, doubt_picture
+from matcap.view.pages import EncodedPicture
 from matcap.view.subject import Maps, Materials
 
 PLANES = [
@@ -390,28 +390,24 @@ def test_the_hint_goes_with_the_first_drag_and_keys_fit_their_panel(own):
 
 
 def photographed():
-    """A material whose photograph is known, and what lies beside it."""
-    material = a_material(example=an_example())
-    shade = doubt_picture(material.part(Example).exemplar)
-    return material, References(EncodedPicture(jpeg(), "image/jpeg"), shade, ("usable", "Look."))
+    """A material whose photograph is known, and that."""
+    return a_material(example=an_example()), EncodedPicture(jpeg(), "image/jpeg")
 
 
 def test_the_photograph_lies_beside_the_endless_field(tab, served):
-    """At its own scale, as bright as it is, with verdict and doubt, and clipped at the wipe."""
+    """At its own scale, as bright as it is, and clipped at the wipe."""
     material, result = photographed()
     wide, tall = material.part(Example).exemplar.size
     with served(Materials(material), result) as address:
         page = tab(address.url)
         page.loaded()
-        assert not page.page.is_visible("#wipe") and not page.page.is_visible("#doubt-row")
+        assert not page.page.is_visible("#wipe")
         page.page.click("#left-choice label:has(input[value=photo])")
         assert page.ask("matcap.view.state.left") == "photo"
         home = page.ask("matcap.view.initial()")
         middle = {"span": WIDTH, "x": home["x"], "y": home["y"], "left": "photo"}
         both = picture(page, wipe=0.5, map="diffuse", **middle)
         brighter = picture(page, wipe=0.5, exposure=1, **middle)
-        page.page.check("#doubted")
-        assert "Look" in page.page.inner_text("#verdict")
         words = page.page.get_attribute("#wipe", "aria-valuetext")
         assert words == "photograph to the left, endless to the right"
         page.page.focus("#wipe")
@@ -439,13 +435,13 @@ def test_the_photograph_lies_beside_the_endless_field(tab, served):
 
 
 def test_the_wipe_between_two_materials(tab, address, subject):
-    """By keyboard and by finger; neither verdict nor doubt of the first lies over the second."""
+    """By keyboard and by finger."""
     page = tab(address.url, has_touch=True)
     page.loaded()
     page.page.focus("input[name=left][value=none]")
     page.page.keyboard.press("ArrowRight")
     assert page.ask("matcap.view.state.left") == "second"
-    assert page.page.is_visible("#wipe") and not page.page.is_visible("#doubt-row")
+    assert page.page.is_visible("#wipe")
     assert page.page.inner_text("#wipe-left") == "other"
     assert page.page.inner_text("#wipe-right") == "test"
     place = {"x": 512, "y": 512, "span": WIDTH, "map": "diffuse", "seed": 2}
@@ -488,7 +484,7 @@ def test_page_fits_its_window(tab, address, size):
 
 def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject, tmp_path):
     path = tmp_path / "page.html"
-    result = References(EncodedPicture(jpeg(), "image/jpeg"))
+    result = EncodedPicture(jpeg(), "image/jpeg")
     path.write_text(sealed_page(subject, 256, result), encoding="utf-8")
     page = tab(path.as_uri())
     shown = picture(page, x=700, y=-900, span=WIDTH, lamp=LAMP)
@@ -506,8 +502,6 @@ def test_the_self_contained_page_shows_the_photograph(tab, tmp_path):
     page.loaded()
     home = page.ask("matcap.view.initial()")
     shown = picture(page, left="photo", span=WIDTH, x=home["x"], y=home["y"])
-    page.page.check("#doubted")
-    assert page.page.is_visible("#verdict") and page.page.is_visible("#doubt")
     assert page.shown() == []
     assert np.abs(shown[HEIGHT // 2, WIDTH // 2 - 9] - 90 / 255).max() <= 2 * STEP
 

@@ -1,8 +1,6 @@
 """The server: who gets in, what they get, and what happens to those who ask for something else."""
 
-import io
 import json
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from threading import Event
@@ -12,7 +10,6 @@ import pytest
 import torch
 from example.exemplars import an_example, blobs, bricks
 from materials import a_material
-from PIL import Image
 from random_maps import random_maps
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
@@ -29,18 +26,7 @@ from matcap.view.level_of_detail import (
     halved,
     moments_of,
 )
-from matcap.view.pages import (
-    APRON,
-    MIPS,
-    PAGE_HEIGHT,
-    WIDTH,
-    EncodedPicture,
-    Pages,
-    Place,
-    References,
-    doubt_picture,
-    verdict_of,
-)
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture, Pages, Place
 from matcap.view.subject import Maps, Materials
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
@@ -60,7 +46,7 @@ def pages(subject):
 
 @pytest.fixture(scope="module")
 def client(subject, pages):
-    app = server.make_app(subject, ADDRESS, lambda _: pages, References(PHOTO))
+    app = server.make_app(subject, ADDRESS, lambda _: pages, PHOTO)
     return testclient.TestClient(app, base_url=BASE)
 
 
@@ -76,7 +62,6 @@ def test_the_page_and_all_its_files_are_served(client):
         assert f'"{name}"' in texts or f'"./{name}"' in texts
         assert get(client, name).status_code == 200
     assert get(client, "photo").content == PHOTO.data
-    assert get(client, "doubt").status_code == 404
     assert get(client, "alive").status_code == 204
 
 
@@ -383,20 +368,6 @@ def test_slopes_at_an_exemplars_border_are_one_sided():
                                rtol=1e-5)  # fmt: skip
     np.testing.assert_allclose(found[6, -1, 3], (stacked[5, -2, 3] - stacked[5, -1, 3]) / 0.5,
                                rtol=1e-5)  # fmt: skip
-
-
-def test_texels_of_low_confidence_are_hatched():
-    exemplar = an_example().exemplar
-    confidence = exemplar.confidence.copy()
-    confidence[:, :40] = 0.0
-    stored = doubt_picture(replace(exemplar, confidence=confidence))
-    shade = np.asarray(Image.open(io.BytesIO(stored.data)))[..., 3]
-    assert shade[:40].min() > 150 and not shade[40:].any()
-
-
-def test_the_verdict_is_the_captures():
-    assert verdict_of({}) is verdict_of({"verdict": 3}) is None
-    assert verdict_of({"verdict": {"rating": "good", "sentence": "It is."}}) == ("good", "It is.")
 
 
 def test_addresses_cannot_be_guessed():

@@ -84,7 +84,6 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
       set({ [name]: target.value, ...home?.() });
     });
   }
-  $("doubted").addEventListener("change", () => set({}));
   const expose = (value) => set({ exposure: Math.min(4, Math.max(-4, value)) });
   $("exposure").addEventListener("input", (event) => expose(event.target.valueAsNumber));
   $("lift").addEventListener("input", (event) => {

@@ -1,6 +1,6 @@
 // Shows the state in text and on the controls.
 
-import { $, CHOICES, make, number, option, showSlider } from "./controls.js";
+import { $, CHOICES, number, option, showSlider } from "./controls.js";
 
 const SCALE = 190; // pixels that the scale is long at most
 
@@ -14,16 +14,6 @@ export function describe(about) {
   if (about.second) {
     $("share-row").hidden = false;
     $("share-label").textContent = `Blend with ${about.second}`;
-  }
-  if (about.doubt) {
-    $("doubt").src = about.doubt;
-    $("doubt").alt = "Shaded where the maps have low confidence";
-  }
-  if (about.verdict) {
-    const [rating, ...rest] = about.verdict;
-    // The sentence may begin with the rating.
-    const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
-    $("verdict").replaceChildren(make("b", { textContent: rating }), `: ${text}`);
   }
 }
 
@@ -77,15 +67,11 @@ export function showState(view) {
   showWipe(view);
 }
 
-// The wipe with the labels of its sides, and the doubt mask, clipped at the wipe.
+// The wipe with the labels of its sides.
 export function showWipe(view) {
-  const { state, canvas } = view, shown = view.wiped;
-  const own = state.left === "photo"; // of this material, which verdict and doubt speak of
-  $("wipe").hidden = !shown;
-  $("piece").hidden = !shown || !own;
-  $("doubt-row").hidden = !shown || !own || (!view.about.verdict && !view.about.doubt);
-  $("verdict").hidden = !shown || !own || !$("doubted").checked || !view.about.verdict;
-  if (!shown) return;
+  const { state, canvas } = view;
+  $("wipe").hidden = !view.wiped;
+  if (!view.wiped) return;
   const at = state.wipe * canvas.clientWidth;
   $("wipe").style.left = `${at}px`;
   $("wipe").setAttribute("aria-valuenow", String(Math.round(100 * state.wipe)));
@@ -93,13 +79,6 @@ export function showWipe(view) {
     `${sideOf(view, state.left)} to the left, ${sideOf(view, "field")} to the right`);
   $("wipe-left").textContent = sideOf(view, state.left);
   $("wipe-right").textContent = sideOf(view, "field");
-  if (!own) return;
-  $("piece").style.width = `${at}px`;
-  const [left, top, wide, tall] = view.photoBox;
-  Object.assign($("doubt").style, {
-    left: `${left}px`, top: `${top}px`, width: `${wide}px`, height: `${tall}px`,
-  });
-  $("doubt").hidden = !$("doubted").checked || !view.about.doubt;
 }
 
 function sideOf({ state, about }, side) {

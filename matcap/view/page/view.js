@@ -288,14 +288,6 @@ export class View {
     gl.uniform1f(places.tableScale, 2 ** -cells);
   }
 
-  // Rectangle of the photograph in the canvas's pixels: left, top, width, height.
-  get photoBox() {
-    const { clientWidth, clientHeight } = this.canvas;
-    const scale = Math.max(clientWidth, clientHeight) / this.state.span;
-    const [left, top, right, below] = this.#photographed().map((end) => end * scale);
-    return [clientWidth / 2 + left, clientHeight / 2 + top, right - left, below - top];
-  }
-
   // Fit the photograph to the picture.
   homeward() {
     const { clientWidth, clientHeight } = this.canvas, [wide, tall] = this.about.piece;
