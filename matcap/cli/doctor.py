@@ -92,15 +92,15 @@ def as_text(report: dict[str, Any]) -> str:
 def _requirements() -> tuple[dict[str, str | None], dict[str, dict[str, str | None]]]:
     """Versions of needed packages and of each extra's, as the installed metadata state them."""
     groups: dict[str, dict[str, str | None]] = {"": {}}
-    for requirement in _found(requires) or []:
+    for requirement in _or_none(requires) or []:
         name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)", requirement)
-        groups.setdefault(extra[1] if extra else "", {})[name] = _found(version, name)
+        groups.setdefault(extra[1] if extra else "", {})[name] = _or_none(version, name)
     groups.pop("dev", None)
     return groups.pop(""), groups
 
 
-def _found(of: Any, name: str = "matcap") -> Any:  # noqa: ANN401
+def _or_none(of: Any, name: str = "matcap") -> Any:  # noqa: ANN401
     try:
         return of(name)
     except PackageNotFoundError:

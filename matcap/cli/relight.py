@@ -185,9 +185,10 @@ def _by_example(path: Path, read: ReadOptions) -> Example | None:
         return None
     if read.adjustments.changes or read.normals is not None:
         return None
-    found = read_exemplified(files[0])
-    by = found and (read.generator or found.default)
-    return found.example.varied(read.variety) if found and by == "example" else None
+    made = read_exemplified(files[0])
+    if made is None or (read.generator or made.default) != "example":
+        return None
+    return made.example.varied(read.variety)
 
 
 def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
@@ -315,7 +316,6 @@ class Renderer:
         self.sampler = Sampler(self.texture, surface.repeat, endless)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
         self._horizon_maps = Horizons(self.relief)
-        self._environments: dict[EnvironmentLight, Environment] = {}
 
     @property
     def film(self) -> Film:
@@ -345,11 +345,9 @@ class Renderer:
         choice = parse_choice(effects) if isinstance(effects, str) else effects
         shape = shape_of(scene.surface, self.texture)
         view = view_of(scene.camera, film, shape.framed(film))
-        lights = (one for one in scene.lights if isinstance(one, EnvironmentLight))
-        environments = tuple(self._environment(light) for light in lights)
         region, footprint = shape.region(view, self.relief)
         footprint *= scene.surface.repeat / self.texture.texel_size
-        limits = gather(scene, self.texture, view, region, footprint, environments)
+        limits = gather(scene, self.texture, view, region, footprint, self._environments)
         # Vignetting below 0 brightens corners, and with them the error of effects left out.
         brightest = replace(film, exposure=film.exposure + math.log2(view.brightest))
         plan = make_plan(limits, radiance_tolerance(tolerance, brightest), choice)
@@ -360,7 +358,7 @@ class Renderer:
             self.sampler,
             self.relief,
             plan,
-            environments,
+            self._environments,
             self._horizons(plan, adaptive=adaptive),
             samples_for(tolerance),
             Budget(plan.left(tolerance, brightest), brightest, plan.running) if adaptive else None,
@@ -384,12 +382,12 @@ class Renderer:
         done = plan.done(tally.seconds, tally.shares())
         return Rendering(picture, done, film, perf_counter() - start, tally)
 
-    def _environment(self, light: EnvironmentLight) -> Environment:
-        if light not in self._environments:
-            flat = self.scene.surface.type == "plane"
-            environment = environment_of(light)
-            self._environments[light] = environment.above_plane() if flat else environment
-        return self._environments[light]
+    @cached_property
+    def _environments(self) -> tuple[Environment, ...]:
+        lights = (one for one in self.scene.lights if isinstance(one, EnvironmentLight))
+        made = tuple(environment_of(light) for light in lights)
+        flat = self.scene.surface.type == "plane"
+        return tuple(one.above_plane() for one in made) if flat else made
 
     def _horizons(self, plan: Plan, *, adaptive: bool) -> Horizons | None:
         bounces = plan.on("interreflection")

@@ -35,7 +35,7 @@ from matcap.relight.scene import (
 _LARGEST_SIDE = 32768
 _LARGEST_EXPONENT = 20.0  # of vignetting, as in material files
 _LIGHTS: dict[str, type[Light]] = {light_name(kind): kind for kind in get_args(Light)}
-Fault = Callable[[str, str], MatcapError]  # of what is wrong, and the remedy
+SceneFault = Callable[[str, str], MatcapError]  # of what is wrong, and the remedy
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -89,7 +89,7 @@ def parse_scene(text: str, *, where: str = "scene", folder: Path = Path(".")) ->
     )
 
 
-def _light(table: object, fault: Fault, folder: Path) -> Any:  # noqa: ANN401
+def _light(table: object, fault: SceneFault, folder: Path) -> Any:  # noqa: ANN401
     if not isinstance(table, dict):
         raise fault("this is not a table", "write its keys below [[light]]")
     name, values = table.get("type"), {key: table[key] for key in table if key != "type"}
@@ -101,7 +101,7 @@ def _light(table: object, fault: Fault, folder: Path) -> Any:  # noqa: ANN401
     return _made(_LIGHTS[name], values, fault, folder)
 
 
-def _made(kind: type, table: object, fault: Fault, folder: Path) -> Any:  # noqa: ANN401
+def _made(kind: type, table: object, fault: SceneFault, folder: Path) -> Any:  # noqa: ANN401
     """The dataclass of a table, whose keys are its fields."""
     if not isinstance(table, dict):
         raise fault("this is not a table", "write its keys below its heading")
@@ -125,7 +125,7 @@ def _made(kind: type, table: object, fault: Fault, folder: Path) -> Any:  # noqa
     return made
 
 
-def _check_keys(table: dict[str, Any], known: Iterable[str], fault: Fault) -> None:
+def _check_keys(table: dict[str, Any], known: Iterable[str], fault: SceneFault) -> None:
     for key in table:
         if key not in known:
             raise fault(f"unknown key '{key}'", nearest(key, known))

@@ -5,7 +5,9 @@ them concatenated, in the order of SCRIPTS: each imports only from those before 
 define the same name.
 
 The element `about` is JSON; in a self-contained document its entry `tile` is the maps, which
-page/tile.js unpacks:
+page/tile.js unpacks.
+
+Tile:
     size: (width, height) in texels.
     specular_channels: 1, or 3 where F0 has a colour.
     low: least height, plane units.

@@ -57,7 +57,7 @@ _OWNED = (
     ("Map set: a folder", "matcap.brdf.folder", ("Keys",)),
     ("Export: `NAME_TARGET.json`", "matcap.export.targets", ("Keys",)),
     ("Report: `report.json`", "matcap.capture.report", ("Keys",)),
-    ("Page for sending: `.html`", "matcap.view.document", ("Tile", "Exemplar")),
+    ("Page for sending: `.html`", "matcap.view.document", ("Tile",)),
 )
 
 
