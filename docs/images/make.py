@@ -82,13 +82,8 @@ SCREENSHOTS = {
     "roughness": ((1280, 800), "matcap.set({map: 'roughness'})"),
     "height": ((1280, 800), "matcap.set({map: 'height'})"),
     "normal": ((1280, 800), "matcap.set({map: 'normal'})"),
-    "photograph": ((1280, 800), "document.querySelector('input[value=piece]').click()"),
+    "photograph": ((1280, 800), "document.querySelector('input[value=photo]').click()"),
     "blend": ((1280, 800), "matcap.set({share: 0.5, lamp: [-0.3, 0.25, 0.8]})"),
-    "adjusted": (
-        (1280, 800),
-        "document.getElementById('adjusting').open = true; matcap.set({adjust: "
-        "{...matcap.view.state.adjust, relief: 2, roughness: -0.1, saturation: 0.3}})",
-    ),
     "afar": ((1280, 800), "matcap.set({span: 12000, lamp: [-0.3, 0.25, 0.8]})"),
     "phone": ((390, 844), "matcap.set({shape: 'sphere', span: 700, lamp: [-0.5, 0.5, 1.2]})"),
 }
@@ -99,12 +94,12 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.pages import Pages, find_references
+    from matcap.view.pages import Pages, reference_photograph
     from matcap.view.server import listen, make_app, new_address
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])
-    beside = find_references(paths[0], subject.facts.name, None, subject.first.exemplar)
+    beside = reference_photograph(paths[0], subject.facts.name, None, subject.first.exemplar)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
     app = make_app(subject, address, Pages, beside)

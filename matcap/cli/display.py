@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from matcap.batch.work import BatchEntry
     from matcap.capture.settings import CaptureProgress
     from matcap.files.names import Progress as WorkProgress
-    from matcap.synth.request import SynthProgress
 
 _NAMED = (TextColumn("{task.description}", markup=False), BarColumn())
 _PERCENT = TextColumn("{task.percentage:>3.0f} %")
@@ -152,33 +151,10 @@ class CaptureDisplay(_Shown):
             self._task = None
 
 
-class SynthDisplay(_Shown):
-    """Shows the progress of a synthesis."""
-
-    columns = (_PERCENT, BarColumn(), TextColumn("{task.fields[rate]}"))
-    transient = True
-
-    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
-        super().__init__(console, bars, quiet=quiet)
-        self._task = None if bars is None else bars.add_task("texels", total=1.0, rate="")
-        self._printed = time.monotonic()
-
-    def progress(self, now: SynthProgress) -> None:
-        """Show the share done, texels per second, and the remaining time."""
-        left = now.seconds_left
-        rate = f"{now.rate / 1e6:.2f} million texels/s"
-        rate += "" if left is None else f", {spoken_duration(left)} left"
-        if self._bars is not None and self._task is not None:
-            self._bars.update(self._task, completed=now.fraction, rate=rate)
-        elif not self._quiet and time.monotonic() - self._printed >= _EVERY:
-            self._printed = time.monotonic()
-            self._say(f"  {now.fraction:6.1%}  {rate}")
-
-
 class ShareDisplay(_Shown):
     """Shows the share done, and the time left, of work that takes longer than two seconds."""
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    columns = (*_NAMED, TimeRemainingColumn())
     transient = True
 
     def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:

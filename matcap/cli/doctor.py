@@ -15,7 +15,6 @@ import typer
 from matcap.cli.options import JsonOption
 from matcap.errors import ExitCode, MatcapError
 
-_PLACE = Path(__file__).parents[1]  # the installed package
 _SIDE = 256  # texels of the self-test's maps
 
 
@@ -43,27 +42,28 @@ def doctor(
 def diagnose(*, self_test: bool = True) -> dict[str, Any]:
     """Versions, devices and packages for JSON, without raising.
 
-    `compiled`: whether the inner loops are built, without which fields by example and relighting
-    cannot run. `self_test`: `fault`, or null, and `seconds`; null where it was not run. `healthy`:
-    whether all that is needed is installed and the self-test passed.
+    `packages`: version of each that is needed, or null. `extras`: the same by extra. `compiled`:
+    whether the inner loops are built, without which fields by example and relighting cannot run.
+    `self_test`: `fault`, or null, and `seconds`; null where it was not run. `healthy`: whether all
+    that is needed is installed and the self-test passed.
     """
     from matcap.example import library as example_loops
     from matcap.files.names import MAKER_VERSION
     from matcap.files.process import cores
     from matcap.relight.loops import library as relighting_loops
 
-    packages, extras = _requirements()
-    whole = all(packages.values())
+    needed, extras = _requirements()
+    whole = all(needed.values())
     test = _self_test() if self_test and whole else None
     return {
         "matcap": MAKER_VERSION,
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
-        "place": str(_PLACE),
+        "place": str(Path(__file__).parents[1]),
         "cores": cores(),
         "devices": _devices(),
         "compiled": None not in (example_loops.built(), relighting_loops.built()),
-        "packages": packages,
+        "packages": needed,
         "extras": extras,
         "self_test": test,
         "healthy": whole and (test is None or test["fault"] is None),
@@ -75,14 +75,13 @@ def as_text(report: dict[str, Any]) -> str:
     built = "compiled" if report["compiled"] else "not built: install again with a C compiler"
     lines = [
         f"matcap {report['matcap']} in {report['place']}",
-        f"Python {report['python']}, {report['system']}",
-        f"{report['cores']} cores; devices: {', '.join(report['devices']) or 'unknown'}",
-        f"inner loops: {built}",
+        f"Python {report['python']}, {report['system']}, {report['cores']} cores",
+        f"devices: {', '.join(report['devices']) or 'unknown'}; inner loops: {built}",
         *(f"  {name:<32} {has or 'MISSING'}" for name, has in report["packages"].items()),
     ]
     for extra, parts in report["extras"].items():
-        said = ", ".join(f"{name} {has or '-'}" for name, has in parts.items())
         missing = "" if all(parts.values()) else f'; not installed: pip install "matcap[{extra}]"'
+        said = ", ".join(f"{name} {has or '-'}" for name, has in parts.items())
         lines.append(f"extra {extra}: {said}{missing}")
     if report["self_test"] is not None:
         test = report["self_test"]
@@ -92,24 +91,18 @@ def as_text(report: dict[str, Any]) -> str:
 
 def _requirements() -> tuple[dict[str, str | None], dict[str, dict[str, str | None]]]:
     """Versions of needed packages and of each extra's, as the installed metadata state them."""
-    needed: dict[str, str | None] = {}
-    extras: dict[str, dict[str, str | None]] = {}
-    try:
-        stated = requires("matcap") or []
-    except PackageNotFoundError:
-        stated = []
-    for requirement in stated:
-        named = re.match(r"[A-Za-z0-9._-]+", requirement)
+    groups: dict[str, dict[str, str | None]] = {"": {}}
+    for requirement in _or_none(requires) or []:
+        name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)", requirement)
-        if named is not None and (extra is None or extra[1] != "dev"):
-            group = needed if extra is None else extras.setdefault(extra[1], {})
-            group[named[0]] = _version(named[0])
-    return needed, extras
+        groups.setdefault(extra[1] if extra else "", {})[name] = _or_none(version, name)
+    groups.pop("dev", None)
+    return groups.pop(""), groups
 
 
-def _version(name: str) -> str | None:
+def _or_none(of: Any, name: str = "matcap") -> Any:  # noqa: ANN401
     try:
-        return version(name)
+        return of(name)
     except PackageNotFoundError:
         return None
 
@@ -127,27 +120,23 @@ def _self_test() -> dict[str, Any]:
     """Draw a material from the prior, write its maps, read, light and export them."""
     began, fault = perf_counter(), None
     try:
+        from matcap.export.targets import export_mapset
+        from matcap.field.opened import open_tile
+        from matcap.field.plane import Rectangle
+        from matcap.relight.render import relight
+        from matcap.space.prior.store import load_prior
+        from matcap.synth.request import SynthRequest
+        from matcap.synth.stream import synthesise
+
         with tempfile.TemporaryDirectory() as folder:
-            _run_small(Path(folder))
+            material, place = load_prior().draw(0), Path(folder) / "set"
+            maps = material.maps(_SIDE, _SIDE, seed=0)
+            if not 0.0 < float(relight(maps, "top").mean()) < 1e3:
+                raise MatcapError("the picture is black or not finite")
+            synthesise(SynthRequest(material, Rectangle(0, 0, _SIDE, _SIDE), device="cpu"), place)
+            if (open_tile(place).maps.height != maps.height).any():
+                raise MatcapError("a map set changed when written and read again")
+            export_mapset(place, "gltf")
     except Exception as error:  # any failure is a finding
         fault = f"{type(error).__name__}: {error}"
     return {"fault": fault, "seconds": perf_counter() - began}
-
-
-def _run_small(folder: Path) -> None:
-    from matcap.export.targets import export_mapset
-    from matcap.field.opened import open_tile
-    from matcap.field.plane import Rectangle
-    from matcap.relight.render import relight
-    from matcap.space.prior.store import load_prior
-    from matcap.synth.request import SynthRequest
-    from matcap.synth.stream import synthesise
-
-    material = load_prior().draw(0)
-    maps = material.maps(_SIDE, _SIDE, seed=0)
-    if not 0.0 < float(relight(maps, "top").mean()) < 1e3:
-        raise MatcapError("the picture is black or not finite")
-    synthesise(SynthRequest(material, Rectangle(0, 0, _SIDE, _SIDE), device="cpu"), folder / "set")
-    if (open_tile(folder / "set").maps.height != maps.height).any():
-        raise MatcapError("a map set changed when written and read again")
-    export_mapset(folder / "set", "gltf")

@@ -60,9 +60,9 @@ def export(
     """
     from matcap.cli.display import working
     from matcap.errors import UsageError
-    from matcap.export.job import ExportJob, known_scale, material_reach, open_set
+    from matcap.export.job import ExportJob, known_scale, material_reach
     from matcap.export.targets import DOCUMENTS, TARGETS, export_bytes, sidecar_name, write_export
-    from matcap.field.opened import OpenedMaps, open_tile, refuse_with_piece
+    from matcap.field.opened import open_tile, refuse_with_piece
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
     from matcap.files.settings import known, refuse_options
@@ -73,49 +73,29 @@ def export(
     options = chosen(ExportOptions, written)
     if target in DOCUMENTS:
         refuse_options(
-            {"--name": options.pattern, "--maps": options.maps or None, "--normal": options.normal},
+            {"--normal": options.normal},
             f"only presets have this option, and {target} is a scene format",
             "leave it out",
         )
     read, area = chosen(ReadOptions, reading), chosen(ExportArea, of)
-    size, udim, seed, tile = area.size, area.udim, area.seed, area.tile
-    changes = read.adjustments
-    if udim is not None and read.normals is not None:
-        raise UsageError.at(
-            "--normals",
-            "only a map set has normals of its own, and UDIM tiles are made from a material",
-            "leave it out",
-        )
-    if udim is not None and changes.changes:
-        raise UsageError.at("--adjust", "UDIM tiles cannot be adjusted", "leave one of the two out")
+    size, seed, tile = area.size, area.seed, area.tile
     if tile:
-        refuse_with_piece(
-            {"--size": size, "--udim": udim, "--seed": seed, "--variety": read.variety}
-        )
-    largest, count = size or values.DEFAULT_SIZE, udim.width * udim.height if udim else 1
+        refuse_with_piece({"--size": size, "--seed": seed, "--variety": read.variety})
+    largest = size or values.DEFAULT_SIZE
     if out is not None:
-        check_writable(out, count * export_bytes(*largest))
-    check_memory(
-        _TEXEL_BYTES * largest.width * largest.height, "--size", "ask for fewer texels, or --udim"
-    )
-    tiles, around = None, None
-    if udim is not None:
-        tiles, stem = open_set(path, udim, largest, seed or 0, read)
-        inner, around = tiles.tile(0, 0)
-        opened = OpenedMaps(inner, stem, dict(tiles.material.provenance))
-    else:
-        with working("synthesising", quiet=quiet or json):
-            opened = open_tile(path, read, size=size, seed=seed, piece=tile is not None)
+        check_writable(out, export_bytes(*largest))
+    check_memory(_TEXEL_BYTES * largest.width * largest.height, "--size", "ask for fewer texels")
+    with working("synthesising", quiet=quiet or json):
+        opened = open_tile(path, read, size=size, seed=seed, piece=tile is not None)
     asked_for = f"_{size}" * (size is not None) + f"_seed{seed}" * (seed is not None)
-    asked_for += f"_udim{udim}" * (udim is not None)
-    asked_for += f"_{changes.file_part}" * changes.changes
+    asked_for += f"_{read.adjustments.file_part}" * read.adjustments.changes
     asked_for += f"_variety{read.variety}" * (read.variety is not None)
     asked_for += "_painted" * (opened.maps.painted is not None)
     asked_for += "_tile-piece" * (tile is not None)
     folder = out or Path(f"{opened.name}_{target}{asked_for}")
     sidecar = folder / sidecar_name(opened.name, target)
     check_output([sidecar], overwrite=overwrite)
-    check_writable(folder, count * export_bytes(*opened.maps.size))
+    check_writable(folder, export_bytes(*opened.maps.size))
     job = ExportJob(
         opened.maps,
         opened.name,
@@ -124,9 +104,6 @@ def export(
         opened.provenance,
         options.container,
         material_reach(path, opened.name),
-        options.tiled,
-        around,
-        tiles,
     )
     inputs = [file for file in files_read(path) if file.name != sidecar.name]
     with working(f"exporting to {target}", quiet=quiet or json):

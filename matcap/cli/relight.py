@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,14 +28,14 @@ from matcap.relight.effects import DEFAULT_TOLERANCE
 
 if TYPE_CHECKING:
     from matcap.brdf.stated import NormalStyle
+    from matcap.example.example import Example
     from matcap.files.settings import Size
     from matcap.relight.plan import Plan
-    from matcap.relight.render import Renderer, Rendering
+    from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
 
 
 _LARGEST = 32768  # pixels of a side
-_MOST_FRAMES, _MOST_LIGHTS = 10_000, 64
 
 
 @dataclass(frozen=True)
@@ -61,16 +61,6 @@ class RelightOptions(CheckedSettings):
         DEFAULT_TOLERANCE, least=0.0, most=1e9, metavar="0..1e9", otherwise="half an 8-bit step"
     )
     """Largest change by skipped effects, in code values from 0 to 1."""
-    explain_map: Path | None = setting(None, metavar="FILE.png")
-    """A picture of the tiles that each effect ran in."""
-    animate: Literal["light-orbit", "turntable"] | None = setting(
-        None, words=("light-orbit", "turntable")
-    )
-    """Animation to .gif, .mp4 or numbered .exr."""
-    frames: int = setting(48, least=1, most=_MOST_FRAMES)
-    """Frames of the animation."""
-    sheet: Size | None = setting(None, metavar="COLUMNSxROWS", parse=values.sides(_MOST_LIGHTS))
-    """A grid of lights in one picture, at most 64 a side."""
     maps_from: Path | None = setting(None)
     """A folder of maps that matcap did not make (ambientCG, Poly Haven names)."""
     normal: NormalStyle | None = setting(None, words=("gl", "dx"))
@@ -101,91 +91,42 @@ def relight(
     quiet: QuietOption = False,
 ) -> None:
     """Show a material under another light."""
-    from itertools import chain
-
     from matcap.cli.display import ShareDisplay
     from matcap.errors import UsageError
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
-    from matcap.relight.output import (
-        check_path,
-        check_tiles_path,
-        files_of,
-        write_movie,
-        write_still,
-        write_tiles,
-    )
+    from matcap.relight.output import check_path, write_rendering
     from matcap.relight.render import parse_choice
-    from matcap.relight.scenefile import ANIMATIONS, light_sheet
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
-    animate, sheet, explain_map = asked.animate, asked.sheet, asked.explain_map
     if light and scene is not None:
         raise UsageError.at("--light", "a scene has its own lights", "leave it out")
-    if animate is not None and sheet is not None:
-        raise UsageError.at(
-            "--sheet", "--animate writes frames, --sheet one picture", "leave one out"
-        )
     read = chosen(ReadOptions, reading)
     if maps_from is not None and read != ReadOptions(read.generator):
         refused = {"adjust": "are not adjusted", "variety": "have no patches"}
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
         raise UsageError.at(f"--{name}", f"maps of other sources {why}", "leave it out")
-    if explain_map is not None and (animate is not None or sheet is not None):
-        raise UsageError.at(
-            "--explain-map",
-            "the map of effects describes a single picture, not --animate or --sheet",
-            "leave it out",
-        )
-    check_path(out, moving=animate is not None)
-    if explain_map is not None:
-        check_tiles_path(explain_map)
+    check_path(out)
     parse_choice(asked.effects)
-    outputs = files_of(out, asked.frames if animate else None)
-    outputs += [] if explain_map is None else [explain_map]
     inputs = files_read(path, Path(scene) if scene else None)
     inputs += [] if maps_from is None else [maps_from]
-    check_output(outputs, inputs=inputs, overwrite=overwrite)
+    check_output([out], inputs=inputs, overwrite=overwrite)
     wanted = _scene(scene, light or ["top"], size)
     if list(light) == ["flash"] and maps_from is None:
         wanted = _photographed(path, size) or wanted
-    limit, effects = asked.tolerance, asked.effects
     renderer = _renderer(path, read, asked, wanted, quiet=quiet)
     film = renderer.film
-    pictures = asked.frames if animate else sheet.width * sheet.height if sheet else 1
-    check_writable(out.parent, 16 * film.width * film.height * pictures)
-    at_once = sheet.width * sheet.height if sheet else 1
-    check_memory(
-        _PIXEL_BYTES * film.width * film.height * at_once, "--size", "ask for a smaller picture"
-    )
+    pixels = film.width * film.height
+    check_writable(out.parent, 16 * pixels)
+    check_memory(_PIXEL_BYTES * pixels, "--size", "ask for a smaller picture")
     with ShareDisplay.open(quiet=quiet or json) as shown:
-        if animate is not None:
-            scenes = enumerate(ANIMATIONS[animate](renderer.scene, asked.frames), 1)
-
-            def rendered(one: Scene, number: int) -> Rendering:
-                done = renderer.render(one, tolerance=limit, effects=effects)
-                shown.progress(number / asked.frames)
-                return done
-
-            moving = (rendered(one, number) for number, one in scenes)
-            first = next(moving)
-            rest = (one.radiance for one in moving)
-            write_movie(chain([first.radiance], rest), out, film)
-            plan = first.plan
-        elif sheet is not None:
-            picture, plan = light_sheet(
-                renderer, *sheet, tolerance=limit, effects=effects, progress=shown.progress
-            )
-            write_still(picture, out, film)
-        else:
-            rendering = renderer.render(progress=shown.progress, tolerance=limit, effects=effects)
-            write_still(rendering.radiance, out, film)
-            if explain_map is not None:
-                write_tiles(rendering, explain_map)
-            plan = rendering.plan
-    _report(plan, out, as_json=json, explain=explain)
+        rendering = renderer.render(
+            progress=shown.progress, tolerance=asked.tolerance, effects=asked.effects
+        )
+        write_rendering(rendering.radiance, out, film)
+    _report(rendering.plan, out, as_json=json, explain=explain)
     printer(quiet=quiet or json)(f"{maps_from or path}: {out}")
 
 
@@ -222,15 +163,32 @@ def _renderer(
     path: Path, read: ReadOptions, asked: RelightOptions, scene: Scene, *, quiet: bool
 ) -> Renderer:
     from matcap.field.opened import open_source
-    from matcap.relight.foreign.read import read_foreign
     from matcap.relight.render import Renderer
 
     if asked.maps_from is None:
-        return Renderer(open_source(path, read), scene, seed=asked.seed)
+        source = _by_example(path, read) or open_source(path, read)
+        return Renderer(source, scene, seed=asked.seed)
+    from matcap.relight.foreign.read import read_foreign
+
     foreign = read_foreign(asked.maps_from, normal=asked.normal)
     for note in foreign.notes:
         printer(quiet=quiet)(f"{asked.maps_from}: {note}")
     return Renderer(foreign.texture, scene, seed=asked.seed)
+
+
+def _by_example(path: Path, read: ReadOptions) -> Example | None:
+    """A material that rearranges its exemplar, which needs no torch; None for anything else."""
+    from matcap.example.example import read_exemplified
+
+    files = sorted(path.glob("*.matcap")) if path.is_dir() else [path]
+    if len(files) != 1 or files[0].suffix.lower() != ".matcap":
+        return None
+    if read.adjustments.changes or read.normals is not None:
+        return None
+    made = read_exemplified(files[0])
+    if made is None or (read.generator or made.default) != "example":
+        return None
+    return made.example.varied(read.variety)
 
 
 def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:

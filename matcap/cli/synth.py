@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from matcap.field.material import Material
+    from matcap.synth.request import SynthProgress
 
 
 class SynthCommand(PlainCommand):
@@ -74,7 +75,7 @@ def synth(
     """
     import os
 
-    from matcap.cli.display import SynthDisplay
+    from matcap.cli.display import ShareDisplay
     from matcap.files.process import keep_memory
     from matcap.synth.stream import synthesise, unfinished_bytes
 
@@ -84,7 +85,7 @@ def synth(
         raise UsageError.at(
             "--export",
             "a texture set cannot be exported",
-            "leave out --udim, or give the material to matcap export --udim",
+            "leave out --udim",
         )
     is_piece = given.get("tile") == "piece"
     if is_piece and {"size", "region"} & {*where}:
@@ -109,10 +110,14 @@ def synth(
             "discarded; --resume would continue them"
         )
     try:
-        with SynthDisplay.open(quiet=quiet) as shown:
+        with ShareDisplay.open(quiet=quiet) as shown:
+
+            def progress(now: SynthProgress) -> None:
+                shown.progress(now.fraction, f"{now.rate / 1e6:.2f} million texels/s")
+
             inputs = (subject,) if isinstance(subject, Path) else ()
             working = {"workers": os.cpu_count() or 1, **working}
-            work = Work(progress=shown.progress, overwrite=overwrite, inputs=inputs, **working)
+            work = Work(progress=progress, overwrite=overwrite, inputs=inputs, **working)
             document = synthesise(asked, folder, work)
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume continues.", err=True)

@@ -51,7 +51,7 @@ def view(
         typer.Argument(help="A material, a map set's folder or a capture's folder."),
     ] = Path("."),
     given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
-    reading: Annotated[Given, Fields(ReadOptions, but=("normals",))] = NOTHING,
+    reading: Annotated[Given, Fields(ReadOptions, but=("normals", "adjust"))] = NOTHING,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -62,7 +62,7 @@ def view(
     from matcap.cli.display import working
     from matcap.files.output import check_output
     from matcap.view.document import check_page_path, sealed_page, write_page
-    from matcap.view.pages import find_references
+    from matcap.view.pages import reference_photograph
     from matcap.view.server import make_app, serve
     from matcap.view.subject import Materials, open_subject
 
@@ -78,11 +78,11 @@ def view(
         check_output([html], inputs=inputs, overwrite=overwrite)
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
-    references = find_references(path, subject.facts.name, photo, material)
+    shown = reference_photograph(path, subject.facts.name, photo, material)
     if html is not None:
         with working("writing the page", quiet=quiet):
-            write_page(sealed_page(subject, asked.tile, references, read.adjustments), html)
+            write_page(sealed_page(subject, asked.tile, shown), html)
         printer(quiet=quiet)(f"wrote {html}")
         return
-    app = partial(make_app, subject, references=references, adjust=read.adjustments)
+    app = partial(make_app, subject, photo=shown)
     serve(app, announce=announce, port=asked.port, opens=asked.opens)

@@ -80,8 +80,8 @@ _NORMAL = "set the Texture Type of Normal_GL to Normal map"
 # The workflow that every project can render, even where another has a smaller residual.
 PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
 
-# Textures by their names in --maps: {map} of the file name, and content and depth (presets.CONTENT)
-# where they are not those of the texture's name and 8 bits.
+# Textures by name: {map} of the file name, and content and depth (presets.CONTENT) where they are
+# not those of the texture's name and 8 bits.
 PRESETS: dict[str, Mapping[Workflow | None, Preset]] = {
     "polyhaven": {
         None: Preset(

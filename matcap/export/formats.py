@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Depth = Literal["8", "16", "half", "float"]
-Container = Literal["png", "jpg", "webp", "exr", "tx"]
+Container = Literal["png", "jpg", "exr"]
 Picture = NDArray[np.float32]
 
 CONTAINERS: dict[Container, tuple[Depth, ...]] = {
     "png": ("8", "16"),
     "jpg": ("8",),
-    "webp": ("8",),
     "exr": ("half", "float"),
-    "tx": ("8", "16", "half", "float"),
 }
 NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
 # Rows processed together: with 4096 columns the working set fits the cache.

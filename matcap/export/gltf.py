@@ -43,7 +43,7 @@ _LEAST_F0 = 0.3
 _FLOAT, _SHORT = 5126, 5123
 _VERTICES, _INDICES = 34962, 34963
 _REPEAT, _LINEAR, _MIPMAPS = 10497, 9729, 9987
-_MIME: dict[Container, str] = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
+_MIME: dict[Container, str] = {"png": "image/png", "jpg": "image/jpeg"}
 
 
 def gltf_specular(job: ExportJob) -> Export:
@@ -218,22 +218,16 @@ def _document(
     job: ExportJob, binary: _Binary, material: dict[str, Any], images: list[dict[str, Any]]
 ) -> dict[str, Any]:
     accessors, primitive = _plane(job, binary)
-    sources: list[dict[str, Any]] = [{"source": number} for number in range(len(images))]
-    used = []
-    if images[0]["mimeType"] == _MIME["webp"]:
-        used = ["EXT_texture_webp"]
-        sources = [{"extensions": {used[0]: source}} for source in sources]
     return {
         "asset": {"version": "2.0", "generator": MAKER},
-        "extensionsUsed": sorted([*material["extensions"], *used]),
-        **({"extensionsRequired": used} if used else {}),
+        "extensionsUsed": sorted(material["extensions"]),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0, "name": job.name}],
         "meshes": [{"name": job.name, "primitives": [primitive]}],
         "accessors": accessors,
         "materials": [material],
-        "textures": [{**source, "sampler": 0} for source in sources],
+        "textures": [{"source": number, "sampler": 0} for number in range(len(images))],
         "images": images,
         "samplers": [
             {"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _REPEAT, "wrapT": _REPEAT}

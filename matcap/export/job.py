@@ -1,10 +1,10 @@
-"""Input of exporters: a map set, options, and UDIM texture sets."""
+"""Input of exporters: a map set and options. texture_file.py writes textures from it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,107 +14,12 @@ import numpy as np
 from matcap.brdf.maps import COLOURED
 from matcap.errors import MatcapError, UsageError
 from matcap.export.formats import Container, Depth, Picture, bands
-from matcap.export.occlusion import settings
-from matcap.field.opened import open_material
-from matcap.field.options import AS_IT_IS, ReadOptions
-from matcap.files.names import check_grid, tile_number, usable_name
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from matcap.brdf.maps import MapSet
     from matcap.export.occlusion import Occlusion
-    from matcap.field.material import Material
-
-
-# Texture sets (UDIM): adjacent tiles, numbered 1001 + column + 10 row from the bottom left.
-#
-# Each tile is read with a margin, so that normals and occlusion continue across borders. Constants
-# of a target (index of refraction, height range) are computed from the first tile and used for all.
-# File names and documents have `<UDIM>` for the number.
-
-
-@dataclass(frozen=True)
-class TextureSet:
-    """A grid of tiles of one realisation of a material.
-
-    Raises:
-        UsageError: too many tiles, or none.
-    """
-
-    material: Material
-    """The material, with one generator."""
-    columns: int
-    """Number of tiles across, 1 to 10."""
-    rows: int
-    """Number of tiles down, 1 to 900."""
-    size: tuple[int, int]
-    """(width, height) of a tile in texels."""
-    seed: int = 0
-    """Seed of the realisation."""
-
-    def __post_init__(self) -> None:
-        check_grid(self.columns, self.rows, "--udim")
-
-    @property
-    def period(self) -> tuple[int, int] | None:
-        """(width, height) of the set in texels, if the material can repeat at that size."""
-        whole = self.columns * self.size[0], self.rows * self.size[1]
-        return None if any(side % self.material.alignment for side in whole) else whole
-
-    def tile(self, column: int, row: int) -> tuple[MapSet, MapSet]:
-        """A tile's maps, and the same with a margin; row 0 is the bottom one."""
-        width, height = self.size
-        margin = settings(width, height)["reach"]
-        wide = self.material.maps(
-            width + 2 * margin,
-            height + 2 * margin,
-            seed=self.seed,
-            x=column * width - margin,
-            y=(self.rows - 1 - row) * height - margin,  # texels' rows go downwards
-            period=self.period,
-        )
-        wide = replace(wide, periodic=False)
-        return wide.crop(margin, margin, width, height), wide
-
-    def others(self) -> Iterator[tuple[int, MapSet, MapSet]]:
-        """(UDIM number, maps, maps with a margin) of every tile but the first."""
-        for row in range(self.rows):
-            for column in range(self.columns):
-                if row or column:
-                    yield tile_number(column, row), *self.tile(column, row)
-
-
-def open_set(
-    path: Path,
-    grid: tuple[int, int],
-    size: tuple[int, int],
-    seed: int = 0,
-    read: ReadOptions = AS_IT_IS,
-) -> tuple[TextureSet, str]:
-    """Open a material for a texture set; returns the set and the material's name.
-
-    Args:
-        path: a material file, or a folder with one.
-        grid: (columns, rows).
-        size: (width, height) of a tile in texels.
-
-    Raises:
-        UsageError: a map set, which cannot be extended; or too many tiles.
-        MatcapError: no material, several, or a damaged one.
-    """
-    if path.suffix.lower() != ".matcap" and not any(path.glob("*.matcap")):
-        raise UsageError.at(
-            "--udim",
-            f"{path} is not a material: only a material has further tiles",
-            "give the material (.matcap), or leave out --udim",
-        )
-    file, material = open_material(path)
-    material = material.by(read.generator).varied(read.variety)
-    return TextureSet(material, *grid, size, seed), usable_name(file.stem)
-
-
-# Input of exporters: a map set and options. texture_file.py writes textures from it.
 
 
 @dataclass(frozen=True)
@@ -136,13 +41,6 @@ class ExportJob:
     reach: float | None = None
     """Integer heights cover [-reach, reach] plane units, the same for all realisations of a
     material; None is derived from these maps."""
-    tiled: bool = False
-    """EXR files in tiles, with mipmaps."""
-    around: MapSet | None = None
-    """The maps with an equal margin on every side, if they are a tile of a texture set; not
-    periodic."""
-    tiles: TextureSet | None = None
-    """The texture set of which this job is the first tile (TextureSet)."""
 
     def check_formats(self, reader: str, containers: Sequence[Container], *, floats: bool) -> None:
         """Raise UsageError for options of textures that a target's files or programs cannot hold.
@@ -178,19 +76,9 @@ class ExportJob:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """(width, height) of the map set, or of the whole texture set, in plane units."""
-        (width, height), (columns, rows) = self.maps.size, self.grid or (1, 1)
-        return columns * width * self.maps.texel_size, rows * height * self.maps.texel_size
-
-    @property
-    def grid(self) -> tuple[int, int] | None:
-        """(columns, rows) of the texture set; None without one."""
-        return None if self.tiles is None else (self.tiles.columns, self.tiles.rows)
-
-    @property
-    def repeats(self) -> bool:
-        """Whether the exported maps, or the whole texture set, tile seamlessly."""
-        return self.maps.periodic if self.tiles is None else self.tiles.period is not None
+        """(width, height) of the map set in plane units."""
+        width, height = self.maps.size
+        return width * self.maps.texel_size, height * self.maps.texel_size
 
     def size_notes(self) -> tuple[str, ...]:
         """Note for targets in metres, if the size was not measured."""
@@ -231,7 +119,7 @@ class ExportJob:
         """(H, W, 3) unit normals, +Y up."""
         from matcap.brdf.maps import normals_of_rows
 
-        maps = self.around or self.maps
+        maps = self.maps
         if maps.painted is not None:
             return self._picture(maps.painted)
         field, (width, height) = maps.height.detach().cpu().float(), maps.size
@@ -239,44 +127,29 @@ class ExportJob:
         for band in bands(height):
             rows = normals_of_rows(field, maps.texel_size, band, periodic=maps.periodic)
             made[band] = rows.movedim(0, -1).numpy()
-        return self._cut(made)
+        return made
 
     @cached_property
     def _shadows(self) -> Occlusion:
         from matcap.export.occlusion import occlusion
 
-        maps = self.around or self.maps
-        field = self._picture(maps.height) / np.float32(maps.texel_size)
-        return occlusion(field, periodic=maps.periodic)
+        heights = self.height / np.float32(self.maps.texel_size)
+        return occlusion(heights, periodic=self.maps.periodic)
 
     @cached_property
     def occlusion(self) -> Picture:
         """(H, W) ambient occlusion (occlusion.py), 1 is open."""
-        return self._cut(self._shadows.whole("open"))
+        return self._shadows.whole("open")
 
     @cached_property
     def cavity(self) -> Picture:
         """(H, W) ambient occlusion by neighbours of a few texels only."""
-        return self._cut(self._shadows.whole("cavity"))
+        return self._shadows.whole("cavity")
 
     @cached_property
     def bent(self) -> Picture:
         """(H, W, 3) bent normals: mean unoccluded direction, +Y up."""
-        return self._cut(self._shadows.whole("bent"))
-
-    def others(self) -> Iterator[tuple[int, ExportJob]]:
-        """(UDIM number, job) of every further tile of the texture set."""
-        if self.tiles is None:
-            return
-        reach = self.height_code[0] / 2.0
-        for number, maps, around in self.tiles.others():
-            yield number, replace(self, maps=maps, around=around, reach=reach)
-
-    def _cut(self, wide: Picture) -> Picture:
-        """Crop the margin of `around`."""
-        width, height = self.maps.size
-        down, across = (wide.shape[0] - height) // 2, (wide.shape[1] - width) // 2
-        return wide[down : down + height, across : across + width]
+        return self._shadows.whole("bent")
 
     @staticmethod
     def _picture(tensor: Tensor) -> Picture:
@@ -298,11 +171,11 @@ class ExportJob:
 
         The undisplaced level is mid-grey.
         """
-        known = (self.around or self.maps).height
+        known = self.maps.height
         needed = float(known.abs().max()) if known.numel() else 0.0
-        # Adjusted relief may exceed the material's range; a texture set has one for all tiles.
-        fits = self.tiles is not None or needed <= (self.reach or 0.0)
-        return 2.0 * (self.reach if self.reach and fits else roomy(needed)), 0.5
+        # Adjusted relief may exceed the material's range.
+        reach = self.reach if self.reach and needed <= self.reach else roomy(needed)
+        return 2.0 * reach, 0.5
 
 
 @dataclass(frozen=True)

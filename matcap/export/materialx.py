@@ -56,7 +56,7 @@ _LEAST_INDEX = 0.02  # least F0 of the dielectric in the metallic workflow
 
 def materialx(job: ExportJob) -> Export:
     """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx and their textures."""
-    job.check_formats("MaterialX", ("png", "jpg", "exr", "tx"), floats=True)
+    job.check_formats("MaterialX", ("png", "jpg", "exr"), floats=True)
     textures = standard_textures(job)
     standard = by_file(job.name, textures)
     layered = {shader: Layered.of(job, shader) for shader in INPUTS}

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 _LARGEST = 65_536  # texels a side
 
 
-def _listed(text: str | Sequence[str]) -> tuple[str, ...]:
-    names = text.split(",") if isinstance(text, str) else text
-    return tuple(one.strip() for one in names)
-
-
 @dataclass(frozen=True)
 class ExportArea(CheckedSettings):
     """Rectangle of a material to export."""
@@ -31,9 +26,6 @@ class ExportArea(CheckedSettings):
     )
     """Texels read from a material, 2048x1024 or 2K, at most 65536 a side; they repeat without a
     seam where both are multiples of 16."""
-    udim: Size | None = setting(None, metavar="CxR", parse=values.size)
-    """A texture set of C columns (at most 10) and R rows (at most 900) of a material, each tile of
-    --size."""
     seed: int | None = setting(None, metavar="SEED", parse=values.seed, otherwise="0")
     """Seed of the material's realisation."""
     tile: Literal["piece"] | None = setting(None, words=("piece",), otherwise="a part of the field")
@@ -42,12 +34,10 @@ class ExportArea(CheckedSettings):
 
 @dataclass(frozen=True)
 class ExportOptions(CheckedSettings):
-    """Options that override a target's defaults; `pattern`, `maps`, `normal`: of presets alone."""
+    """Options that override a target's defaults; `maps` and `normal` are of presets alone."""
 
-    pattern: str | None = setting(None, option="name", metavar="PATTERN")
-    """File names of a preset, with the fields {stem}, {map}, {res} and {format}."""
-    maps: Sequence[str] = setting((), metavar="A,B", parse=_listed)
-    """Maps of a preset to write, such as diffuse,roughness; all by default."""
+    maps: Sequence[str] = ()
+    """Textures of a preset to write, by their names in its table; empty is all."""
     normal: NormalMaps | None = setting(None, words=("gl", "dx", "both"), otherwise="the preset's")
     """Normals of a preset: +Y up (gl), down (dx), or a file of each (both)."""
     bits: Depth | None = setting(None, words=("8", "16", "half", "float"), otherwise="the target's")
@@ -61,12 +51,10 @@ class ExportOptions(CheckedSettings):
     container: Container | None = setting(
         None,
         option="format",
-        words=("png", "jpg", "webp", "exr", "tx"),
+        words=("png", "jpg", "exr"),
         otherwise="png, or exr for floats",
     )
-    """Format of the textures; with jpg or webp, heights are PNG."""
-    tiled: bool = setting(False)
-    """Write EXR files in tiles, with mipmaps."""
+    """Format of the textures; with jpg, heights are PNG."""
     unit: float | None = setting(
         None, least=1e-6, most=1e9, metavar="MM", otherwise="the material's measured size"
     )

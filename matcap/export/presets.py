@@ -9,13 +9,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from string import Formatter
 from typing import Any, cast
 
 import numpy as np
 from torch import Tensor
 
-from matcap.errors import UsageError
 from matcap.export.formats import Depth, NormalMaps, Picture, brightest_channel, mean_channel, rgb
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.options import ExportOptions
@@ -52,10 +50,7 @@ from matcap.export.workflows import (
     fitted_tables,
     to_metallic,
 )
-from matcap.files.names import is_portable, plain_name, shown
-from matcap.files.settings import known
 
-_FIELDS = ("stem", "map", "res", "format")
 _MARGIN = 0.25  # share of the plain form's residual that another form must gain
 _SHADED = ("occlusion", "cavity", "bent")
 
@@ -154,8 +149,8 @@ class Preset:
     pattern: str
     """File names without suffix; fields stem, map, res and format."""
     textures: Mapping[str, str]
-    """Textures by their names in --maps: "LABEL=CONTENT DEPTH", with {map} of the file name, the
-    content's name in CONTENT, by default the texture's own, and the depth, by default 8."""
+    """Textures by name: "LABEL=CONTENT DEPTH", with {map} of the file name, the content's name in
+    CONTENT, by default the texture's own, and the depth, by default 8."""
     normal: NormalMaps = "gl"
     """Direction of the normal map's green."""
     normal_labels: tuple[str, str] = ("normal_gl", "normal_dx")
@@ -247,15 +242,9 @@ _DEPTHS = ("16", "half", "float")
 
 
 def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> Export:
-    """Convert and pack the textures of a preset.
-
-    Raises:
-        UsageError: an unknown map or field of a name; a name outside of the folder, or the same
-            for two textures.
-    """
+    """Convert and pack the textures of a preset."""
     choice = choice or ExportOptions()
-    wanted = [known(one, preset.textures, "--maps") for one in choice.maps]
-    pattern = _checked(choice.pattern or preset.pattern)
+    wanted = choice.maps
     model = preset.model and _chosen(job, preset, preset.model.of(job))
     packed: dict[str, tuple[str, TextureFile]] = {}
     for kind, text in preset.textures.items():
@@ -271,7 +260,7 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
             packed[kind] = label, _height(job, depth)
         else:
             packed[kind] = label, _made(job, model, kind, text)
-    names = _names(job, packed, pattern, preset.thousand)
+    names = _names(job, packed, preset)
     textures = {names[kind]: made for kind, (_, made) in packed.items()}
     surfaces: dict[str, MadeSurface] = {}
     documents: dict[str, bytes | Callable[[Path], bytes]] = {}
@@ -302,30 +291,18 @@ def _chosen(job: ExportJob, preset: Preset, model: EngineModel) -> EngineModel:
 
 
 def _names(
-    job: ExportJob, packed: dict[str, tuple[str, TextureFile]], pattern: str, thousand: str
+    job: ExportJob, packed: dict[str, tuple[str, TextureFile]], preset: Preset
 ) -> dict[str, str]:
-    """File names by kind.
-
-    Raises:
-        UsageError: two of them are the same.
-    """
+    """File names by kind."""
     side = max(job.maps.size)  # in words: "2k" for 2048, "600" for 600
-    res = f"{side // 1024}{thousand}" if side % 1024 == 0 else str(side)
-    names: dict[str, str] = {}
-    for kind, (label, made) in packed.items():
-        fields = {"stem": job.name, "map": label, "res": res, "format": made.container.upper()}
-        name = plain_name(pattern.format(**fields), what="the file name", where="--name")
-        if not is_portable(name):
-            raise UsageError.at(
-                "--name",
-                f"other programs may misread the file name {shown(name)}",
-                "use letters, digits, spaces and _ . , ( ) + -",
-            )
-        file = name + made.suffix
-        if file in names.values():
-            raise UsageError.at("--name", f"two maps are called {file}", "put {map} into the name")
-        names[kind] = file
-    return names
+    res = f"{side // 1024}{preset.thousand}" if side % 1024 == 0 else str(side)
+    return {
+        kind: preset.pattern.format(
+            stem=job.name, map=label, res=res, format=made.container.upper()
+        )
+        + made.suffix
+        for kind, (label, made) in packed.items()
+    }
 
 
 def _entries(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, Any]:
@@ -413,24 +390,3 @@ def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> T
     bent = signed(seen[kind]) if textures[kind].whole else seen[kind]
     sign = [1.0, -1.0 if kind == "normal_dx" else 1.0, 1.0]
     return bent * bent.new_tensor(sign)[:, None, None]
-
-
-def _checked(pattern: str) -> str:
-    """Return the pattern if all its fields are known.
-
-    Raises:
-        UsageError: an unknown field, or one with a width or conversion.
-    """
-    try:
-        for _, field, width, conversion in Formatter().parse(pattern):
-            if field is not None:
-                known(field, _FIELDS, "--name")
-            if width or conversion:
-                raise ValueError(f"'{field}' is put in as it is, without a width or a conversion")
-    except ValueError as error:
-        raise UsageError.at(
-            "--name",
-            f"'{pattern}' is not a pattern ({error})",
-            "write it like '{stem}_{map}_{res}'",
-        ) from error
-    return pattern

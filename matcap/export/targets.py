@@ -18,8 +18,7 @@ Keys:
     height_code: of integer or scaled heights, `scale`, `midlevel` and `unit`:
         height = (value - midlevel) * scale.
     periodic: whether the maps tile seamlessly.
-    udim: (columns, rows) of a texture set, whose file names have `<UDIM>` for 1001 and on, from the
-        bottom left; null without one. `width` and `height` are a tile's, `tile` the set's.
+    udim: null; (columns, rows) of texture sets of earlier versions, whose file names have `<UDIM>`.
     seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
@@ -53,19 +52,12 @@ from matcap.export.job import ExportJob, known_scale, material_reach
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
 from matcap.export.options import ExportOptions
-from matcap.export.presets import Preset, pack
+from matcap.export.presets import pack
 from matcap.export.shading import Residual, residuals
-from matcap.export.texture_file import WRITERS, TextureFile
+from matcap.export.texture_file import WRITERS
 from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
-from matcap.files.names import (
-    MAKER_VERSION,
-    TOKEN,
-    plain_name,
-    sanitised_name,
-    tile_names,
-    tile_number,
-)
+from matcap.files.names import MAKER_VERSION, plain_name, sanitised_name
 from matcap.files.output import Output, check_output
 from matcap.files.settings import known
 
@@ -83,9 +75,6 @@ _TEXEL_BYTES = 2 * 4 * (3 + 1 + 1 + 1 + 3)
 _FAR = 0.1  # mean residual above which a note warns of it
 _AS_NEAR = 0.02  # relative difference below which two residuals count as equal
 
-# Targets whose programs do not read UDIM tiles.
-_NO_TILES = ("gltf", "mitsuba", "godot")
-
 # Exporters of a target by workflow; None where there is no choice.
 Forms = Mapping[Workflow | None, Callable[[ExportJob], Export]]
 
@@ -97,14 +86,7 @@ DOCUMENTS: dict[str, Forms] = {
     "blender": {None: blender},
     "mitsuba": {None: mitsuba},
 }
-# Presets by name: all forms, and each form of those with two.
-_BY_NAME: dict[str, Mapping[Workflow | None, Preset]] = PRESETS | {
-    f"{name}-{form}": {form: preset}
-    for name, forms in PRESETS.items()
-    if len(forms) > 1
-    for form, preset in forms.items()
-}
-TARGETS = (*DOCUMENTS, *_BY_NAME)
+TARGETS = (*DOCUMENTS, *PRESETS)
 
 
 @dataclass(frozen=True)
@@ -198,8 +180,8 @@ def write_export(
         overwrite: replace existing files.
 
     Raises:
-        UsageError: no such target; it has not the map, workflow or texture sets asked for; it
-            would replace a file in `inputs`.
+        UsageError: no such target; it has not the workflow asked for; it would replace a file in
+            `inputs`.
         MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
             exists.
     """
@@ -209,7 +191,6 @@ def write_export(
     plain_name(job.name, what="the map set's name")
     job = replace(job, name=sanitised_name(job.name))
     form = _form(forms, target, options.workflow if options else None)
-    _check_tiles(job, target)
     # Compute the residual of every form; only the chosen one is written.
     made = {name: make(job) for name, make in forms.items()}
     errors = {name: residuals(job, export.surfaces) for name, export in made.items()}
@@ -220,9 +201,10 @@ def write_export(
         "workflow": chosen,
         "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in named.items()},
     }
-    outputs = [folder / name for name in _outputs(made[chosen], job, target)]
+    export, sidecar = made[chosen], sidecar_name(job.name, target)
+    outputs = [folder / name for name in (*export.textures, *export.documents, sidecar)]
     check_output(outputs, inputs=inputs, overwrite=overwrite)
-    files = _write(made[chosen], job, about, folder)
+    files = _write(export, job, about, folder)
     return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, named)
 
 
@@ -232,14 +214,9 @@ def sidecar_name(name: str, target: str) -> str:
 
 
 def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
-    """Writers of a preset by workflow (specular, metallic); "unreal-metallic" selects one.
-
-    Raises:
-        UsageError: no such preset.
-    """
-    known(name, _BY_NAME, "--preset")
+    """Writers of a preset by workflow (specular, metallic)."""
     return {
-        form: partial(pack, preset=preset, choice=choice) for form, preset in _BY_NAME[name].items()
+        form: partial(pack, preset=preset, choice=choice) for form, preset in PRESETS[name].items()
     }
 
 
@@ -259,44 +236,18 @@ def _form(forms: Forms, target: str, workflow: Workflow | None) -> Workflow | No
     return workflow or PLAIN.get(target)
 
 
-def _check_tiles(job: ExportJob, target: str) -> None:
-    if job.tiles is not None and target in _NO_TILES:
-        raise UsageError.at(
-            "--udim", f"{target} does not read UDIM tiles", "leave it out, or give --size"
-        )
-
-
-def _outputs(export: Export, job: ExportJob, target: str) -> list[str]:
-    """Names of all files to write."""
-    tiles = {tile for name in export.textures for tile in tile_names(name, job.grid)}
-    return [*sorted(tiles), *export.documents, sidecar_name(job.name, target)]
-
-
 def _write(
     export: Export, job: ExportJob, about: Mapping[str, Any], folder: Path
 ) -> tuple[str, ...]:
     """Write textures, documents and sidecar; returns the files' names, sorted."""
     with Output(folder).stage() as stage:
-        for number, tile in ((tile_number(0, 0), job), *job.others()):
-            _write_textures(export.textures, tile, stage, number)
+        with ThreadPoolExecutor(WRITERS) as pool:
+            list(pool.map(lambda one: one[1].write(stage / one[0], job), export.textures.items()))
         for file, content in export.documents.items():
             (stage / file).write_bytes(content if isinstance(content, bytes) else content(stage))
         text = json.dumps(about, indent=2, allow_nan=False, default=str)
         (stage / sidecar_name(job.name, about["target"])).write_text(text + "\n")
         return tuple(sorted(file.name for file in stage.iterdir()))
-
-
-def _write_textures(
-    textures: Mapping[str, TextureFile], job: ExportJob, stage: Path, number: int
-) -> None:
-    """Write all textures of a job, which is UDIM tile `number` in a texture set."""
-
-    def write(named: tuple[str, TextureFile]) -> None:
-        name, texture = named
-        texture.write(stage / name.replace(TOKEN, str(number)), job)
-
-    with ThreadPoolExecutor(WRITERS) as pool:
-        list(pool.map(write, textures.items()))
 
 
 def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | None:
@@ -327,8 +278,8 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "unit": job.unit,
         "tile": [across, down],
         "texel": job.maps.texel_size * job.unit_length,
-        "periodic": job.repeats,
-        "udim": job.grid,
+        "periodic": job.maps.periodic,
+        "udim": None,
         "seam": round(seam_ratio(job.maps), 3),
         "files": {
             file: {
@@ -340,7 +291,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         },
         "documents": sorted(made.documents),
         "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": [*made.notes, *_far(target, off), *([] if job.repeats else [_SEAM])],
+        "notes": [*made.notes, *_far(target, off), *([] if job.maps.periodic else [_SEAM])],
         **made.entries,
         "provenance": dict(job.provenance),
     }

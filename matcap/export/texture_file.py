@@ -16,13 +16,10 @@ from matcap.export.formats import CONTAINERS, Container, Depth, Picture, bands
 from matcap.export.job import ExportJob, MapRows
 from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.exr import LARGEST_HALF, write_exr
-from matcap.files.names import TOKEN
 from matcap.files.pixels import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue
 
 WRITERS = 2  # textures written in parallel: each holds one picture in memory
 _JPEG_QUALITY = 95
-# OpenImageIO's names of numpy's types.
-_TYPES = {"uint8": "uint8", "uint16": "uint16", "float16": "half", "float32": "float"}
 
 
 @dataclass(frozen=True)
@@ -40,8 +37,6 @@ class TextureFile:
     """Meaning of the values, for the sidecar."""
     container: Container = "png"
     """File format."""
-    udim: bool = False
-    """Whether each UDIM tile of a texture set has its own file."""
     eight_of_16: bool = False
     """Choose 16-bit values whose upper byte is the nearest 8-bit value, for browsers, which drop
     the lower byte; costs readers of 16 bits up to half an 8-bit step."""
@@ -61,7 +56,7 @@ class TextureFile:
         Args:
             usual: default depth.
             srgb: integers are sRGB-encoded.
-            lossy: JPEG and WebP are allowed; otherwise PNG is written instead.
+            lossy: JPEG is allowed; otherwise PNG is written instead.
 
         Raises:
             UsageError: the format has not this depth.
@@ -69,7 +64,7 @@ class TextureFile:
         depth, container = job.depth or usual, job.container
         if container is None:
             container = "png" if depth in CONTAINERS["png"] else "exr"
-        elif container in ("jpg", "webp") and not lossy:
+        elif container == "jpg" and not lossy:
             container = "png"
         if job.depth is None and usual not in CONTAINERS[container]:
             depth = "half" if container == "exr" else CONTAINERS[container][-1]
@@ -79,12 +74,12 @@ class TextureFile:
                 f"{container} has no depth {depth}",
                 f"give {' or '.join(CONTAINERS[container])}",
             )
-        return TextureFile(make, depth, srgb, meaning, container, job.tiles is not None)
+        return TextureFile(make, depth, srgb, meaning, container)
 
     @property
     def suffix(self) -> str:
-        """Suffix of the file, with the dot, and with TOKEN in a texture set."""
-        return f".{TOKEN}.{self.container}" if self.udim else f".{self.container}"
+        """Suffix of the file, with the dot."""
+        return f".{self.container}"
 
     @property
     def whole(self) -> bool:
@@ -147,7 +142,7 @@ class TextureFile:
         return whole
 
     def encoded(self, job: ExportJob, *, tagged: bool = True) -> bytes:
-        """The file's content, of PNG, JPEG and WebP.
+        """The file's content, of PNG and JPEG.
 
         Args:
             tagged: PNG states colour space and texel size.
@@ -157,14 +152,11 @@ class TextureFile:
             return _tagged(png_bytes(whole), self, job) if tagged else png_bytes(whole)
         import cv2
 
-        # For WebP, quality above 100 is lossless.
-        flags = (
-            [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-             cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-            if self.container == "jpg"
-            else [cv2.IMWRITE_WEBP_QUALITY, 101]
-        )  # fmt: skip
-        _, encoded = cv2.imencode(f".{self.container}", swap_red_blue(whole), flags)
+        flags = [
+            cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+            cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
+        ]  # fmt: skip
+        _, encoded = cv2.imencode(".jpg", swap_red_blue(whole), flags)
         return encoded.tobytes()
 
     def write(self, path: Path, job: ExportJob) -> None:
@@ -174,46 +166,10 @@ class TextureFile:
             MatcapError: a value is not finite.
             OSError: the file cannot be written.
         """
-        if self.container == "exr" and not job.tiled:
+        if self.container == "exr":
             write_exr(path, self.pixels(job).astype(np.float32), half=self.depth == "half")
-        elif self.container in ("exr", "tx"):
-            wrap = "periodic" if job.maps.periodic else "clamp"
-            _write_tiled(path, self.pixels(job), srgb=self.colour_space == "sRGB", wrap=wrap)
         else:
             path.write_bytes(self.encoded(job))
-
-
-def _write_tiled(path: Path, pixels: NDArray[Any], *, srgb: bool, wrap: str) -> None:
-    """Write encoded pixels in tiles, with mipmaps, for renderers' texture caches.
-
-    Args:
-        path: .exr, or .tx: EXR for floats, TIFF for integers.
-        pixels: (H, W), (H, W, 3) or (H, W, 4) integers or floats.
-        srgb: integers are sRGB-encoded; the file states it, and mipmaps average linear light.
-        wrap: "periodic" or "clamp".
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    import OpenImageIO as oiio
-
-    planes = np.ascontiguousarray(pixels if pixels.ndim == 3 else pixels[..., None])
-    spec = oiio.ImageSpec(
-        planes.shape[1], planes.shape[0], planes.shape[2], oiio.TypeDesc(_TYPES[planes.dtype.name])
-    )
-    buffer = oiio.ImageBuf(spec)
-    buffer.set_pixels(oiio.ROI(), planes)
-    config = oiio.ImageSpec()
-    config.tile_width = config.tile_height = 64
-    config.attribute("maketx:wrapmodes", f"{wrap},{wrap}")
-    config.attribute("maketx:sharpen", 0.0)
-    config.attribute("maketx:constant_color_detect", 0)
-    config.attribute("oiio:ColorSpace", "srgb_rec709_scene" if srgb else "data")
-    whole = planes.dtype.kind == "u"
-    config.attribute("maketx:fileformatname", "tiff" if whole else "openexr")
-    config.attribute("compression", "zip")
-    if not oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, buffer, str(path), config):
-        raise OSError(oiio.geterror() or f"{path.name} could not be written")
 
 
 def _curved(values: Picture) -> Picture:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from matcap.export.formats import Container, Picture
+from matcap.export.formats import Picture
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.texture_file import TextureFile
 
@@ -64,7 +64,7 @@ def standard_textures(job: ExportJob) -> dict[str, TextureFile]:
         "specular": TextureFile.of(job, picture("specular"), "16", SPECULAR, srgb=job.coloured),
         "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
         "normal_gl": TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
-        "height": float_height(job),
+        "height": float_height(),
     }
 
 
@@ -109,10 +109,9 @@ def coded_height(piece: MapRows) -> Picture:
     return piece.picture("height") / np.float32(scale) + np.float32(midlevel)
 
 
-def float_height(job: ExportJob) -> TextureFile:
+def float_height() -> TextureFile:
     """The height in plane units, always 32-bit float."""
-    container: Container = job.container if job.container == "tx" else "exr"
-    return TextureFile(picture("height"), "float", False, HEIGHT, container, job.tiles is not None)
+    return TextureFile(picture("height"), "float", False, HEIGHT, "exr")
 
 
 def height_entry(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:

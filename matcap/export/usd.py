@@ -198,9 +198,9 @@ def _export(
         contents = ((file, (folder / file).read_bytes()) for file in files.values())
         return _package(chain([(f"{job.name}.usda", stage)], contents))
 
-    documents: dict[str, bytes | Callable[[Path], bytes]] = {f"{job.name}.usda": stage}
-    if job.tiles is None:  # readers of .usdz do not support UDIM
-        documents[f"{job.name}.usdz"] = package
+    documents: dict[str, bytes | Callable[[Path], bytes]] = {
+        f"{job.name}.usda": stage, f"{job.name}.usdz": package,
+    }  # fmt: skip
     return Export(
         by_file(job.name, textures),
         documents,
@@ -213,7 +213,6 @@ def _export(
 def _stage(job: ExportJob, index: float, layered: Layered, files: dict[str, str]) -> str:
     """The text of the .usda file."""
     x, y = (side * job.metres / 2.0 for side in job.extent)
-    columns, rows = job.grid or (1, 1)
     name = _identifier(job.name)
     scale, midlevel = job.height_code
     scale *= job.metres
@@ -263,7 +262,7 @@ def Xform "{name}" (
             interpolation = "vertex"
         )
         point3f[] points = [({-x!r}, {-y!r}, 0), ({x!r}, {-y!r}, 0), ({x!r}, {y!r}, 0), ({-x!r}, {y!r}, 0)]
-        texCoord2f[] primvars:st = [(0, 0), ({columns}, 0), ({columns}, {rows}), (0, {rows})] (
+        texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
             interpolation = "vertex"
         )
         uniform token subdivisionScheme = "none"

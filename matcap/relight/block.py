@@ -68,10 +68,6 @@ class Shape(ABC):
     def framed(self, film: Film) -> float:
         """Span of the picture's long side at the origin that shows all of it, in plane units."""
 
-    def seen_by(self, view: View) -> Shape:
-        """This shape, prepared for a view: a mesh rasterises the face that each pixel sees."""
-        return self
-
     @abstractmethod
     def hits(self, view: View, top: int, bottom: int) -> Hits:
         """Intersections of the rays of rows [top, bottom) of the picture."""

@@ -455,7 +455,8 @@ class Environment:
         total = np.zeros((len(normal), 3), dtype=np.float32)
         for start in range(0, len(normal), 256):
             part = slice(start, start + 256)
-            total[part] = np.maximum(normal[part] @ towards.T, 0.0) @ power
+            cosines = normal[part] @ towards.T
+            total[part] = np.maximum(cosines, 0.0, out=cosines) @ power
         return total.reshape(*x.shape, 3)
 
     def irradiance_above(self, normal: Vec) -> Array:

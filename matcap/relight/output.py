@@ -1,10 +1,8 @@
-"""Writes radiance to files: exposed and encoded (PNG, GIF, MP4), or linear (EXR)."""
+"""Writes radiance to files: exposed and encoded (PNG), or linear (EXR)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,35 +11,18 @@ from matcap.errors import MatcapError
 from matcap.files.color import srgb_picture
 from matcap.files.exr import write_exr
 from matcap.files.names import check_suffix
-from matcap.files.output import Output, write_error
+from matcap.files.output import Output
 from matcap.files.pixels import png_bytes
-from matcap.relight.plan import TILE
 from matcap.relight.scene import Film
 
-if TYPE_CHECKING:
-    from matcap.relight.render import Rendering
-
-
-# Write radiance to files: exposed and encoded (PNG, GIF, MP4), or linear (EXR).
-
 Radiance = NDArray[np.float32]
-STILLS = (".png", ".exr")
-MOVIES = (".gif", ".mp4", ".exr")
-_FRAMES_PER_SECOND = 24
 # Rows encoded together, to bound memory.
 _STRIP = 256
-# Map of tiles: a panel's longer side and its caption's height in pixels, and panels in a row.
-_PANEL, _CAPTION, _ACROSS = 320, 20, 4
 
 
-def check_path(path: Path, *, moving: bool) -> None:
-    """Raise UsageError unless the suffix is a picture's or, if `moving`, an animation's."""
-    check_suffix(path, MOVIES if moving else STILLS, "animation" if moving else "picture")
-
-
-def check_tiles_path(path: Path) -> None:
-    """Raise UsageError unless the suffix is .png."""
-    check_suffix(path, (".png",), "map of tiles")
+def check_path(path: Path) -> None:
+    """Raise UsageError unless the suffix is a picture's."""
+    check_suffix(path, (".png", ".exr"), "picture")
 
 
 def encode(radiance: Radiance, film: Film) -> Radiance:
@@ -50,14 +31,14 @@ def encode(radiance: Radiance, film: Film) -> Radiance:
     return srgb_picture(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)
 
 
-def write_still(radiance: Radiance, path: Path, film: Film) -> None:
+def write_rendering(radiance: Radiance, path: Path, film: Film) -> None:
     """Write a picture: .exr as float32 radiance, .png as 8-bit codes.
 
     Raises:
         UsageError: another suffix.
         MatcapError: values that are not finite; the file cannot be written.
     """
-    check_path(path, moving=False)
+    check_path(path)
     with Output.file(path) as file:
         if path.suffix.lower() == ".exr":
             write_exr(file, radiance, half=False)
@@ -71,111 +52,9 @@ def write_still(radiance: Radiance, path: Path, film: Film) -> None:
             file.write_bytes(png_bytes(_codes(radiance, film)))
 
 
-def write_tiles(rendering: Rendering, path: Path) -> None:
-    """Write a PNG with a panel for each effect: the picture, darkened where it did not run.
-
-    Raises:
-        UsageError: another suffix than .png.
-        MatcapError: the file cannot be written.
-    """
-    import cv2
-
-    check_tiles_path(path)
-    height, width = rendering.radiance.shape[:2]
-    small = min(1.0, _PANEL / max(width, height))
-    size = (max(1, round(width * small)), max(1, round(height * small)))
-    picture = cv2.resize(_codes(rendering.radiance, rendering.film), size)
-    panels = []
-    for effect, ran in rendering.tally.maps().items():
-        # Tiles at the border are cut, not squeezed.
-        lit = ran.repeat(TILE, axis=0).repeat(TILE, axis=1)[:height, :width]
-        lit = cv2.resize(lit.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        panel = np.where(lit[..., None], np.maximum(picture, 48), picture // 5)
-        named = np.pad(panel, ((_CAPTION, 2), (2, 2), (0, 0))).astype(np.uint8)
-        text = f"{effect} {100.0 * ran.mean():.0f} %"
-        cv2.putText(named, text, (4, _CAPTION - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255,) * 3)
-        panels.append(named)
-    columns = min(_ACROSS, len(panels))
-    panels += [np.zeros_like(panels[0])] * (-len(panels) % columns)
-    rows = [np.hstack(panels[i : i + columns]) for i in range(0, len(panels), columns)]
-    with Output.file(path) as file:
-        file.write_bytes(png_bytes(np.vstack(rows)))
-
-
-def files_of(path: Path, frames: int | None = None) -> list[Path]:
-    """Files of a picture, or of an animation of `frames` frames."""
-    if frames is None or path.suffix.lower() != ".exr":
-        return [path]
-    return [path.with_name(frame_name(path, index)) for index in range(frames)]
-
-
-def frame_name(path: Path, index: int) -> str:
-    """File name of one frame of an animation in EXR: STEM_0000.exr."""
-    return f"{path.stem}_{index:04d}.exr"
-
-
-def write_movie(frames: Iterable[Radiance], path: Path, film: Film) -> None:
-    """Write an animation, 24 frames a second: .gif, .mp4, or numbered .exr of radiance.
-
-    Consumes one frame at a time. Files appear when the last is written.
-
-    Raises:
-        UsageError: another suffix.
-        MatcapError: the files cannot be written.
-    """
-    check_path(path, moving=True)
-    suffix = path.suffix.lower()
-    with Output(path.parent).stage() as stage:
-        if suffix == ".exr":
-            for index, frame in enumerate(frames):
-                write_exr(stage / frame_name(path, index), frame, half=False)
-        elif suffix == ".gif":
-            _write_gif(frames, stage / path.name, film)
-        else:
-            _write_mp4(frames, stage / path.name, film)
-
-
 def _codes(frame: Radiance, film: Film) -> NDArray[np.uint8]:
     codes = np.empty(frame.shape, dtype=np.uint8)
     for top in range(0, len(frame), _STRIP):
         strip = slice(top, top + _STRIP)
         codes[strip] = np.rint(encode(frame[strip], film) * 255.0)
     return codes
-
-
-def _write_gif(frames: Iterable[Radiance], path: Path, film: Film) -> None:
-    from PIL import Image
-
-    first, *rest = [
-        Image.fromarray(_codes(frame, film)).quantize(256, dither=Image.Dither.FLOYDSTEINBERG)
-        for frame in frames
-    ]
-    # GIF counts hundredths of a second.
-    with path.open("wb") as file:
-        first.save(
-            file,
-            "GIF",
-            save_all=True,
-            append_images=rest,
-            duration=10 * round(100 / _FRAMES_PER_SECOND),
-            loop=0,
-        )
-
-
-def _write_mp4(frames: Iterable[Radiance], path: Path, film: Film) -> None:
-    import cv2
-
-    writer = None
-    for frame in frames:
-        # The codec needs even sides: repeat the last row or column.
-        codes = _codes(frame, film)
-        codes = np.pad(codes, ((0, codes.shape[0] % 2), (0, codes.shape[1] % 2), (0, 0)), "edge")
-        if writer is None:
-            size = (codes.shape[1], codes.shape[0])
-            kind = cv2.VideoWriter.fourcc(*"mp4v")
-            writer = cv2.VideoWriter(str(path), kind, _FRAMES_PER_SECOND, size)
-            if not writer.isOpened():
-                raise write_error(path, OSError("no MP4 encoder"))
-        writer.write(np.ascontiguousarray(codes[..., ::-1]))
-    if writer is not None:
-        writer.release()

@@ -72,11 +72,6 @@ class Tally:
         """Share of all tiles, in [0, 1], in which each effect ran."""
         return {effect: float(ran.mean()) for effect, ran in self._ran.items()}
 
-    def maps(self) -> Mapping[str, Array]:
-        """(down, across) bool masks of tiles, of the effects that ran anywhere."""
-        across, down = self.tiles
-        return {effect: ran.reshape(down, across) for effect, ran in self._ran.items()}
-
 
 # Scene bounds: extremes of maps, geometry and lights, from which effects compute their bounds.
 #

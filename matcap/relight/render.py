@@ -8,17 +8,20 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
+from matcap.example.example import Example
+from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_decode
 from matcap.files.process import cores
-from matcap.relight.block import Block, Hits, ShadingContext, Shape
-from matcap.relight.camera import Array, View, view_of
+from matcap.relight.block import Block, Hits, ShadingContext
+from matcap.relight.camera import Array, view_of
 from matcap.relight.effects import DEFAULT_TOLERANCE, area, direct, environment
 from matcap.relight.effects.entries import EFFECTS
 from matcap.relight.effects.environment import samples_for
@@ -247,6 +250,9 @@ class MapSource(Protocol):
         """The rectangle whose left top texel is (x, y)."""
 
 
+Source: TypeAlias = "MapSet | MapSource | Example | Texture"
+
+
 @dataclass(frozen=True)
 class Rendering:
     """A picture, with the plan and the times of its rendering."""
@@ -264,7 +270,7 @@ class Rendering:
 
 
 def relight(
-    source: MapSet | MapSource | Texture,
+    source: Source,
     scene: Scene | str = "top",
     *,
     seed: int = 0,
@@ -295,15 +301,13 @@ def relight(
 
 
 class Renderer:
-    """Renders one material on one surface, under any cameras and lights.
+    """Renders one material in one scene.
 
-    Keeps what does not depend on them from picture to picture: the maps, their mip pyramid, the
-    horizon maps. Animations and light sheets gain by it.
+    Keeps from picture to picture what does not depend on effects: the maps, their mip pyramid, the
+    horizon maps.
     """
 
-    def __init__(
-        self, source: MapSet | MapSource | Texture, scene: Scene, *, seed: int = 0
-    ) -> None:
+    def __init__(self, source: Source, scene: Scene, *, seed: int = 0) -> None:
         self.texture = _texture(source, scene, seed)
         self.scene = replace(scene, film=scene.film or Film(*self.texture.size))
         surface = scene.surface
@@ -312,18 +316,15 @@ class Renderer:
         self.sampler = Sampler(self.texture, surface.repeat, endless)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
         self._horizon_maps = Horizons(self.relief)
-        self._environments: dict[EnvironmentLight, Environment] = {}
-        self._shapes: dict[tuple[object, Surface], tuple[View, Shape]] = {}
 
     @property
     def film(self) -> Film:
-        """Size, exposure and transfer of the picture, unless render() is given another scene."""
+        """Size, exposure and transfer of the picture."""
         assert self.scene.film is not None
         return self.scene.film
 
     def render(
         self,
-        scene: Scene | None = None,
         *,
         tolerance: float = DEFAULT_TOLERANCE,
         effects: str | EffectChoice = "auto",
@@ -332,8 +333,6 @@ class Renderer:
         """Render one picture.
 
         Args:
-            scene: camera, film and lights, where not the renderer's own; the surface must be the
-                renderer's.
             tolerance, effects: see relight().
             progress: called with the finished share of the picture, (0, 1], after each block.
 
@@ -341,16 +340,14 @@ class Renderer:
             MatcapError: a light too bright for single precision, or what relight() raises.
         """
         start = perf_counter()
-        scene = scene or self.scene
+        scene, film = self.scene, self.film
         check_lights(scene.lights)
-        film = scene.film or self.film
         choice = parse_choice(effects) if isinstance(effects, str) else effects
-        view, shape = self._seen(scene, film)
-        lights = (one for one in scene.lights if isinstance(one, EnvironmentLight))
-        environments = tuple(self._environment(light) for light in lights)
+        shape = shape_of(scene.surface, self.texture)
+        view = view_of(scene.camera, film, shape.framed(film))
         region, footprint = shape.region(view, self.relief)
         footprint *= scene.surface.repeat / self.texture.texel_size
-        limits = gather(scene, self.texture, view, region, footprint, environments)
+        limits = gather(scene, self.texture, view, region, footprint, self._environments)
         # Vignetting below 0 brightens corners, and with them the error of effects left out.
         brightest = replace(film, exposure=film.exposure + math.log2(view.brightest))
         plan = make_plan(limits, radiance_tolerance(tolerance, brightest), choice)
@@ -361,7 +358,7 @@ class Renderer:
             self.sampler,
             self.relief,
             plan,
-            environments,
+            self._environments,
             self._horizons(plan, adaptive=adaptive),
             samples_for(tolerance),
             Budget(plan.left(tolerance, brightest), brightest, plan.running) if adaptive else None,
@@ -385,20 +382,12 @@ class Renderer:
         done = plan.done(tally.seconds, tally.shares())
         return Rendering(picture, done, film, perf_counter() - start, tally)
 
-    def _seen(self, scene: Scene, film: Film) -> tuple[View, Shape]:
-        key = ((scene.camera, film.width, film.height), scene.surface)
-        if key not in self._shapes:
-            shape = shape_of(scene.surface, self.texture)
-            view = view_of(scene.camera, film, shape.framed(film))
-            self._shapes = {key: (view, shape.seen_by(view))}
-        return self._shapes[key]
-
-    def _environment(self, light: EnvironmentLight) -> Environment:
-        if light not in self._environments:
-            flat = self.scene.surface.type == "plane"
-            environment = environment_of(light)
-            self._environments[light] = environment.above_plane() if flat else environment
-        return self._environments[light]
+    @cached_property
+    def _environments(self) -> tuple[Environment, ...]:
+        lights = (one for one in self.scene.lights if isinstance(one, EnvironmentLight))
+        made = tuple(environment_of(light) for light in lights)
+        flat = self.scene.surface.type == "plane"
+        return tuple(one.above_plane() for one in made) if flat else made
 
     def _horizons(self, plan: Plan, *, adaptive: bool) -> Horizons | None:
         bounces = plan.on("interreflection")
@@ -408,18 +397,19 @@ class Renderer:
         return self._horizon_maps
 
 
-def _texture(source: MapSet | MapSource | Texture, scene: Scene, seed: int) -> Texture:
-    from matcap.brdf.maps import MapSet
-
+def _texture(source: Source, scene: Scene, seed: int) -> Texture:
     if isinstance(source, Texture):
         return source
+    if isinstance(source, Example):
+        texel_size = source.exemplar.texel_size
+        area = Rectangle(0, 0, *_needed(scene, texel_size))
+        return Texture.from_stacked(source.maps(seed, area, None), texel_size)
+    from matcap.brdf.maps import MapSet
+
     if isinstance(source, MapSet):
         return Texture.from_maps(source)
-    width, height = _needed(scene)
-    texels = scene.surface.repeat / source.texel_size
-    across = min(_LARGEST_READ, max(1, round(width * texels)))
-    down = min(_LARGEST_READ, max(1, round(height * texels)))
-    return Texture.from_maps(source.maps(across, down, seed=seed, x=0, y=0))
+    width, height = _needed(scene, source.texel_size)
+    return Texture.from_maps(source.maps(width, height, seed=seed, x=0, y=0))
 
 
 def _check_relief(texture: Texture, surface: Surface) -> None:
@@ -442,16 +432,18 @@ def _covers(texture: Texture, surface: Surface) -> bool:
     return surface.type == "plane" and side <= min(texture.extent) * (1.0 + 1e-6)
 
 
-def _needed(scene: Scene) -> tuple[float, float]:
-    """Width and height of the material to read for a scene, in plane units of the surface."""
-    size = scene.surface.size or 2.0
-    film = scene.film or Film(1, 1)
-    if scene.surface.type == "plane" and scene.camera is None:
-        return size, size * min(1.0, film.height / film.width)
-    if scene.surface.type in ("sphere", "cylinder"):
+def _needed(scene: Scene, texel_size: float) -> tuple[int, int]:
+    """Width and height of the material to read for a scene, in texels; at most _LARGEST_READ."""
+    kind, size = scene.surface.type, scene.surface.size or 2.0
+    film, width, height = scene.film or Film(1, 1), size, size
+    if kind == "plane" and scene.camera is None:
+        height = size * min(1.0, film.height / film.width)
+    elif kind != "plane":
         # Circumference, pi d; a sphere's from pole to pole is half of it.
-        return 3.1416 * size, size * (1.5708 if scene.surface.type == "sphere" else 1.0)
-    return size, size
+        width, height = 3.1416 * size, size * (1.5708 if kind == "sphere" else 1.0)
+    texels = scene.surface.repeat / texel_size
+    across, down = (min(_LARGEST_READ, max(1, round(side * texels))) for side in (width, height))
+    return across, down
 
 
 def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:

@@ -32,7 +32,7 @@ class Film:
     exposure: float = 0.0
     """Exposure value, EV: encoded pictures are multiplied by 2^exposure; EXR radiance is not."""
     transfer: Literal["srgb", "linear"] = "srgb"
-    """Transfer function of encoded pictures (PNG, GIF, MP4)."""
+    """Transfer function of encoded pictures (PNG)."""
 
     @property
     def gain(self) -> float:
@@ -69,13 +69,11 @@ class Camera:
 class Surface:
     """Geometry that the material covers."""
 
-    type: Literal["plane", "sphere", "cylinder", "mesh"] = "plane"
-    """A plane, sphere or cylinder around the origin, or a mesh."""
+    type: Literal["plane", "sphere", "cylinder"] = "plane"
+    """A plane, sphere or cylinder around the origin."""
     size: float | None = 2.0
-    """Side of a plane, diameter of a sphere or cylinder (also the cylinder's height), longest side
-    of a mesh, in plane units; None is the maps' own extent."""
-    file: Path | None = None
-    """The mesh, a Wavefront OBJ file."""
+    """Side of a plane, diameter of a sphere or cylinder (also the cylinder's height), in plane
+    units; None is the maps' own extent."""
     repeat: float = 1.0
     """Factor by which the material is shrunk on the surface: 2 fits twice as many texels along a
     side."""

@@ -93,6 +93,21 @@ class Texture:
         check_heights(d, "the material")
         return Texture(a, b, c, d, e, maps.texel_size, maps.periodic)
 
+    @staticmethod
+    def from_stacked(stacked: Array, texel_size: float) -> Texture:
+        """The texture of a rectangle of a field, without torch; the same bits as from_maps.
+
+        Args:
+            stacked: (6 or 8, H, W) float32 diffuse, F0, roughness and height; it does not repeat.
+        """
+        height = stacked[-1:]
+        steep_x, steep_y = (_differences(height, axis) / np.float32(texel_size) for axis in (2, 1))
+        z = 1.0 / np.sqrt(1.0 + steep_x * steep_x + steep_y * steep_y)
+        # By way of the unit normal, as from_maps; rows run downwards, y runs upwards.
+        slopes = np.concatenate([steep_x * z / z, -steep_y * z / z])
+        diffuse, specular, roughness = np.split(stacked[:-1], [3, len(stacked) - 2])
+        return Texture(diffuse, specular, roughness, height, slopes, texel_size, periodic=False)
+
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) in texels."""
@@ -135,6 +150,16 @@ class Texture:
             steepest,
             float(height.max() - height.min()),
         )
+
+
+def _differences(field: Array, axis: int) -> Array:
+    """Differences per texel along an axis: central inside, one-sided at both ends."""
+    along = np.moveaxis(field, axis, 0)
+    if len(along) == 1:
+        return np.zeros_like(field)
+    inner = (along[2:] - along[:-2]) / np.float32(2.0)
+    ends = along[1:2] - along[:1], along[-1:] - along[-2:-1]
+    return np.moveaxis(np.concatenate([ends[0], inner, ends[1]]), 0, axis)
 
 
 # Texture lookups: bilinear, or trilinear in a mip pyramid with slope variance [olano2010].

@@ -10,8 +10,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from matcap.errors import UsageError
-from matcap.flash.alignment import PICTURE_CHANNELS, Shortcut, convolution, residual_block
+from matcap.flash.alignment import PICTURE_CHANNELS, convolution, residual_block
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.space.decoder import CODE_SIZE
 from matcap.statistics.compare import (
@@ -25,39 +24,22 @@ from matcap.statistics.compare import (
 # The encoder: a flash photograph to mean and log-variance of its latent vector [henzler2021].
 #
 # Inputs are the logarithm of the photograph, image coordinates (a highlight's meaning depends on
-# its position), parameters of the coarse fit, and texture statistics. There are two backbones:
-# "small", the shipped one, and "resnet50" [he2016], the paper's. Both use group normalisation, as a
-# batch has few materials.
+# its position), parameters of the coarse fit, and texture statistics. Residual blocks [he2016] are
+# fewer than the paper's, with group normalisation, as a batch has few materials.
 
 
 NUMBERS = 16  # parameters of the coarse fit (space/encoder.py)
 TEXTURE = 231  # texture statistics at full resolution (space/encoder.py)
-BACKBONES = ("small", "resnet50")
 
 _LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a dimension of the latent vector
 
 
 @dataclass(frozen=True)
 class EncoderConfig:
-    """Backbone and input size of an encoder."""
+    """Input size of an encoder."""
 
-    backbone: str = "small"
-    """One of BACKBONES."""
     width: int = 256
     """Columns of the input image (512 in the paper); rows by the photograph's aspect."""
-
-
-def bottleneck(inputs: int, outputs: int, stride: int) -> Shortcut:
-    """ResNet-50's block: 1 x 1, 3 x 3, 1 x 1 convolutions with a shortcut."""
-    inner = outputs // 4
-    layers = [
-        *convolution(inputs, inner, 1),
-        nn.ReLU(inplace=True),
-        *convolution(inner, inner, 3, stride),
-        nn.ReLU(inplace=True),
-        *convolution(inner, outputs, 1),
-    ]
-    return Shortcut(layers, inputs, outputs, stride)
 
 
 class Encoder(nn.Module):
@@ -65,17 +47,8 @@ class Encoder(nn.Module):
 
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
-        if config.backbone not in BACKBONES:
-            raise UsageError.at(
-                "encoder",
-                f"there is no backbone '{config.backbone}'",
-                f"choose from {', '.join(BACKBONES)}",
-            )
         self.config = config
-        if config.backbone == "small":
-            self.features, channels = _small()
-        else:
-            self.features, channels = _resnet50()
+        self.features, channels = _features()
         hidden = 256
         self.numbers = nn.Sequential(nn.Linear(NUMBERS + TEXTURE, 192), nn.ReLU())
         self.hidden = nn.Sequential(nn.Linear(2 * channels + 192, hidden), nn.ReLU())
@@ -109,7 +82,7 @@ def pool(features: Tensor) -> Tensor:
     return torch.cat([mean, torch.sqrt(variance + 1e-5)], dim=1)
 
 
-def _small() -> tuple[nn.Module, int]:
+def _features() -> tuple[nn.Module, int]:
     widths = (32, 64, 96, 128, 192)
     layers: list[nn.Module] = [
         *convolution(PICTURE_CHANNELS, widths[0], 5, 2),
@@ -118,20 +91,6 @@ def _small() -> tuple[nn.Module, int]:
         residual_block(widths[-1], widths[-1], 1),
     ]
     return nn.Sequential(*layers), widths[-1]
-
-
-def _resnet50() -> tuple[nn.Module, int]:
-    layers: list[nn.Module] = [
-        *convolution(PICTURE_CHANNELS, 64, 7, 2),
-        nn.ReLU(inplace=True),
-        nn.MaxPool2d(3, 2, 1),
-    ]
-    channels = 64
-    for blocks, outputs, stride in ((3, 256, 1), (4, 512, 2), (6, 1024, 2), (3, 2048, 2)):
-        for index in range(blocks):
-            layers.append(bottleneck(channels, outputs, stride if index == 0 else 1))
-            channels = outputs
-    return nn.Sequential(*layers), channels
 
 
 # Encoder inputs besides the image: parameters of the coarse fit, and texture statistics.

@@ -1,15 +1,16 @@
-"""Rectangles of the plane that the browser fetches, and reference data of a capture."""
+"""Rectangles of the plane that the browser fetches, and the photograph."""
 
 from __future__ import annotations
 
 import base64
 import os
 from collections import OrderedDict
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from matcap.errors import UsageError
 from matcap.example.example import Example
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.files.names import read_document
-from matcap.files.pixels import jpeg_bytes, png_bytes
+from matcap.files.pixels import jpeg_bytes
 from matcap.photo.load import RAW_SUFFIXES
 from matcap.view.level_of_detail import (
     ALBEDO,
@@ -33,7 +34,6 @@ from matcap.view.level_of_detail import (
 from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
-    from matcap.example.exemplar import Exemplar
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
     from matcap.photo.photo import ToneCurve
@@ -71,8 +71,6 @@ class Place:
     """Seed of the realisation."""
     share: float = 0.0
     """Share of the second material of a blend."""
-    piece: bool = False
-    """Whether the page is of the exemplar instead of the field."""
 
     @property
     def area(self) -> Rectangle:
@@ -134,9 +132,7 @@ class Pages:
             raise UsageError(says, remedy=f"give one from 0 to {MOST_LEVEL}")
         if max(abs(area.x), abs(area.y)) << level > COORDINATE_LIMIT:
             raise UsageError("this page lies beyond 2^40 texels", remedy="stay nearer")
-        moments, texel_size = self._subject.moments(
-            level, area, seed=place.seed, share=place.share, piece=place.piece
-        )
+        moments, texel_size = self._subject.moments(level, area, seed=place.seed, share=place.share)
         return packed(moments, texel_size)
 
 
@@ -164,29 +160,13 @@ def _halves(planes: Planes) -> bytes:
     return np.ascontiguousarray(planes.transpose(1, 2, 0)).astype("<f2").tobytes()
 
 
-# Reference data of a material in the viewer: photograph, verdict of its capture, doubt mask.
+# The photograph of a material.
 
 _LONG_SIDE = 1024
 _PHOTOGRAPHS = (
-    *(
-        ".dng",
-        ".jpg",
-        ".jpeg",
-        ".jpe",
-        ".jfif",
-        ".png",
-        ".tif",
-        ".tiff",
-        ".heic",
-        ".avif",
-        ".webp",
-        ".exr",
-        ".hdr",
-    ),
-    *sorted(RAW_SUFFIXES),
-)
-_DOUBT = (236, 118, 52)  # sRGB of the doubt mask, a colour that few materials have
-_OPAQUE = 200  # alpha, of 255, at confidence 0
+    ".dng", ".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp",
+    ".exr", ".hdr", *sorted(RAW_SUFFIXES),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -204,22 +184,10 @@ class EncodedPicture:
         return f"data:{self.kind};base64,{base64.b64encode(self.data).decode()}"
 
 
-@dataclass(frozen=True)
-class References:
-    """Reference data of a material; None for what does not exist."""
-
-    photo: EncodedPicture | None = None
-    """The photograph, rectified where the material has an exemplar."""
-    doubt: EncodedPicture | None = None
-    """Overlay of the exemplar, more opaque where its confidence is lower."""
-    verdict: tuple[str, str] | None = None
-    """(rating, sentence) of the capture's verdict."""
-
-
-def find_references(
+def reference_photograph(
     path: Path, name: str, photo: Path | None = None, material: Material | None = None
-) -> References:
-    """Collect the reference data of a material or map set, from its folder and its file.
+) -> EncodedPicture | None:
+    """The photograph of a material or map set, rectified where the material has an exemplar.
 
     Args:
         path: of its file or folder.
@@ -232,16 +200,10 @@ def find_references(
     from matcap.photo.photo import ToneCurve
 
     folder = path if path.is_dir() else path.parent
-    file = photo or find_photograph(path, name) or reported_photograph(folder)
-    example = material.part(Example) if material else None
-    setup = material.setup if material and example else None
     report = read_document(folder / "report.json", "matcap report") or {}
-    tone = ToneCurve.of_report(report)
-    return References(
-        browser_picture(file, setup, tone) if file else None,
-        doubt_picture(example.exemplar) if example else None,
-        read_verdict(folder),
-    )
+    file = photo or find_photograph(path, name) or reported_photograph(report)
+    setup = material.setup if material and material.part(Example) else None
+    return browser_picture(file, setup, ToneCurve.of_report(report)) if file else None
 
 
 def find_photograph(path: Path, name: str) -> Path | None:
@@ -254,22 +216,13 @@ def find_photograph(path: Path, name: str) -> Path | None:
     return None
 
 
-def reported_photograph(folder: Path) -> Path | None:
+def reported_photograph(report: Mapping[str, Any]) -> Path | None:
     """The photograph whose path a capture's report has, if it exists."""
     try:
-        file = Path((read_document(folder / "report.json") or {})["photograph"]["path"])
+        file = Path(report["photograph"]["path"])
     except (KeyError, TypeError):
         return None
     return file if file.is_file() else None
-
-
-def read_verdict(folder: Path) -> tuple[str, str] | None:
-    """(rating, sentence) of the verdict in a capture's report, or None."""
-    try:
-        verdict = (read_document(folder / "report.json") or {})["verdict"]
-        return str(verdict["rating"]), str(verdict["sentence"])
-    except (KeyError, TypeError):
-        return None
 
 
 def browser_picture(
@@ -298,13 +251,3 @@ def browser_picture(
     if photo.turned if setup is None else setup.turned:
         linear = standing(linear)
     return EncodedPicture(jpeg_bytes(linear, 88), "image/jpeg")
-
-
-def doubt_picture(exemplar: Exemplar) -> EncodedPicture:
-    """Overlay of an exemplar as PNG: _DOUBT with alpha _OPAQUE (1 - mean confidence)."""
-    step = max(1, max(exemplar.size) // _LONG_SIDE)
-    trusted = exemplar.confidence.mean(axis=0)[::step, ::step]
-    shade = np.empty((*trusted.shape, 4), np.uint8)
-    shade[..., :3] = _DOUBT
-    shade[..., 3] = np.rint(_OPAQUE * (1.0 - trusted))
-    return EncodedPicture(png_bytes(shade), "image/png")

@@ -7,21 +7,15 @@ import json
 import os
 import secrets
 import socket
-import tempfile
 import webbrowser
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from matcap.brdf.adjust import NONE, Adjustments
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.pages import Page, Pages, Place, References
+from matcap.view.pages import EncodedPicture, Page, Pages, Place
 from matcap.view.subject import Viewable
 
 if TYPE_CHECKING:
@@ -79,16 +73,16 @@ def make_app(
     subject: Viewable,
     address: Address,
     pages: PagesOf,
-    references: References | None = None,
-    adjust: Adjustments = NONE,
+    photo: EncodedPicture | None = None,
 ) -> Starlette:
     """The server's application for one subject.
 
     Args:
         address: whose token and host requests must have.
         pages: returns the pages of a subject.
+        photo: the photograph.
     """
-    routes = _subject_routes(subject, pages(subject), references or References(), adjust)
+    routes = _subject_routes(subject, pages(subject), photo)
     return _guarded(routes, address)
 
 
@@ -122,43 +116,25 @@ def _parts(names: Sequence[str]) -> Callable[[Request], Awaitable[Response]]:
 
 
 def _subject_routes(
-    subject: Viewable,
-    pages: Pages,
-    references: References,
-    adjust: Adjustments,
+    subject: Viewable, pages: Pages, photo: EncodedPicture | None
 ) -> list[BaseRoute]:
     from starlette.responses import HTMLResponse, PlainTextResponse, Response
     from starlette.routing import Route
 
-    page = served_page(subject.facts, references, adjust)
-    pictures = {"photo": references.photo, "doubt": references.doubt}
+    page = served_page(subject.facts, photo)
 
     async def whole(_: Request) -> Response:
         return HTMLResponse(page)
 
-    async def picture(request: Request) -> Response:
-        wanted = pictures[request.url.path.rpartition("/")[2]]
-        if wanted is None:
+    async def picture(_: Request) -> Response:
+        if photo is None:
             return PlainTextResponse("There is no such picture.", 404)
-        return Response(wanted.data, media_type=wanted.kind)
+        return Response(photo.data, media_type=photo.kind)
 
     async def alive(_: Request) -> Response:
         return Response(status_code=204)
 
-    async def surroundings(request: Request) -> Response:
-        parts, size = [], 0
-        async for part in request.stream():
-            size += len(part)
-            if size > LARGEST_FILE:
-                return PlainTextResponse("This picture is too large.", 413)
-            parts.append(part)
-        picture = await asyncio.to_thread(decoded_exr, b"".join(parts))
-        height, width = picture.shape[:2]
-        headers = {"X-Size": json.dumps([width, height])}
-        data = picture.astype("<f4").tobytes()
-        return Response(data, media_type="application/octet-stream", headers=headers)
-
-    async def piece(request: Request) -> Response:
+    async def texels(request: Request) -> Response:
         wanted = await _waited(pages, place_of(request.query_params), request)
         if wanted is None:
             return PlainTextResponse("The request was cancelled.", 499)
@@ -166,10 +142,9 @@ def _subject_routes(
 
     return [
         Route("/", whole),
-        *(Route(f"/{name}", picture) for name in pictures),
+        Route("/photo", picture),
         Route("/alive", alive),
-        Route("/page", piece),
-        Route("/surroundings", surroundings, methods=["POST"]),
+        Route("/page", texels),
         Route("/{name}", _parts(SCRIPTS)),
     ]
 
@@ -209,7 +184,7 @@ def place_of(values: Mapping[str, str]) -> Place:
         seed, share = int(values.get("seed", "0")), float(values.get("share", "0"))
         if not 0.0 <= share <= 1.0:
             raise UsageError("the share is not between 0 and 1")
-        return Place(level, column, row, seed, share, values.get("piece", "0") == "1")
+        return Place(level, column, row, seed, share)
     except (KeyError, ValueError) as error:
         raise UsageError(
             "this does not name a page",
@@ -246,27 +221,6 @@ class _RequestFilter:
             await PlainTextResponse(refusal, 403)(scope, receive, sealed)
         else:
             await self._app({**scope, "path": f"/{rest}"}, receive, sealed)
-
-
-LARGEST_FILE = 2**29  # bytes; more than 16384 x 8192 half floats take
-
-
-def decoded_exr(data: bytes) -> NDArray[np.float32]:
-    """(H, W, 3) linear radiance, equirectangular, of an EXR file's bytes.
-
-    Raises:
-        MatcapError: the data are not an EXR file, damaged, or have invalid values.
-    """
-    from matcap.files.environment import narrowed, read_picture
-
-    with tempfile.TemporaryDirectory() as place:
-        file = Path(place) / "surroundings.exr"
-        file.write_bytes(data)
-        try:
-            return narrowed(read_picture(file))
-        except MatcapError as error:
-            # Without the temporary path.
-            raise MatcapError.at("the picture", error.what, error.remedy) from error
 
 
 # Runs the page's server, bound to 127.0.0.1 only.

@@ -1,4 +1,4 @@
-"""Subjects of the page: a material, a blend of two, or a map set; options."""
+"""Subjects of the page: a material, a blend of two, or a map set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from matcap.field.plane import Rectangle
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
     from matcap.field.material import Material
-    from matcap.flash.geometry import FlashSetup
     from matcap.view.level_of_detail import (
         ExampleLevels,
         ExemplarAverages,
@@ -27,31 +26,7 @@ if TYPE_CHECKING:
     )
 
 
-# Subjects of the page: a material, a blend of two, or a map set.
-
 _FIELDS = 8  # fields cached, by seed and share; and blends, by share
-
-
-@dataclass(frozen=True)
-class Flashed:
-    """Camera and flash of the photograph in plane coordinates (flash/geometry.py).
-
-    The exemplar is two plane units wide, centred at the origin.
-    """
-
-    camera: tuple[float, ...]
-    """Position of the camera, plane units."""
-    light: tuple[float, ...]
-    """Position of the flash, plane units."""
-    axis: tuple[float, ...]
-    """Unit vector along the optical axis, towards the plane."""
-    cone: tuple[float, ...]
-    """Vector to the centre of the attenuation, at distance 1 along the axis."""
-    intensity: tuple[float, float, float]
-    """Radiant intensity of the flash, by channel."""
-    vignetting: tuple[float, float]
-    """(a, b) of the attenuation exp(-a s - b s^2), s the squared distance from `cone` at
-    distance 1 along the axis."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +46,7 @@ class ViewFacts:
     mean: tuple[float, ...]
     """Mean moments (level_of_detail.py), shown until pages arrive."""
     piece: tuple[int, int] | None = None
-    """(width, height) of the exemplar in texels, or None."""
-    flash: Flashed | None = None
-    """Camera and flash of the photograph, or None."""
+    """(width, height) of the exemplar in texels, where the photograph is shown; or None."""
     millimetres: float = 0.0
     """Length of a plane unit; 0 if unknown."""
 
@@ -86,7 +59,7 @@ class Viewable(Protocol):
         """Description for the page."""
 
     def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
+        self, level: int, area: Rectangle, *, seed: int, share: float
     ) -> tuple[Planes, float]:
         """(9 or 11, height, width) moments of an area (level_of_detail.py), and the texel size.
 
@@ -95,10 +68,9 @@ class Viewable(Protocol):
             area: in texels of the level.
             seed: of the realisation; 0 for a map set.
             share: of the second material, in [0, 1].
-            piece: moments of the exemplar instead of the field.
 
         Raises:
-            UsageError: a seed or share out of range, or no exemplar.
+            UsageError: a seed or share out of range.
         """
 
 
@@ -127,12 +99,9 @@ class Materials:
         from matcap.export.job import known_scale
 
         second = self.second.name if self.second else ""
-        size = self.first.texel_size
-        piece = self.first.generator.piece_size
         return ViewFacts(
-            self.first.name, second, size, None, self.seed, self._mean,
-            piece, _flashed(self.first.setup) if piece else None,
-            known_scale(self.first.provenance) or 0.0,
+            self.first.name, second, self.first.texel_size, None, self.seed, self._mean,
+            self.first.generator.piece_size, known_scale(self.first.provenance) or 0.0,
         )  # fmt: skip
 
     def at(self, share: float) -> Material:
@@ -155,30 +124,19 @@ class Materials:
         return self.first
 
     @cached_property
-    def _piece(self) -> Pyramid:
-        from matcap.view.level_of_detail import Pyramid, edged, moments_of
+    def _mean(self) -> tuple[float, ...]:
+        from matcap.view.level_of_detail import NetworkLevels, edged, mean_of, moments_of
 
         example = self.first.part(Example)
         if example is None:
-            raise _no_piece()
-        exemplar = example.exemplar
-        return Pyramid(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
-
-    @cached_property
-    def _mean(self) -> tuple[float, ...]:
-        from matcap.view.level_of_detail import NetworkLevels, mean_of
-
-        piece = self.first.generator.piece_size
-        if piece is None:
             return mean_of(NetworkLevels.of(self.first, self.seed).mean)
-        return mean_of(self._piece.read(0, Rectangle(0, 0, *piece)))
+        exemplar = example.exemplar
+        return mean_of(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
 
     def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
+        self, level: int, area: Rectangle, *, seed: int, share: float
     ) -> tuple[Planes, float]:
         """Moments of an area, and the texel size (Viewable.moments)."""
-        if piece:
-            return self._piece.read(level, area), self.first.texel_size
         field = self._field(seed, share)
         return field.read(level, area), field.texel_size
 
@@ -221,11 +179,9 @@ class Maps:
         return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0, mean)
 
     def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float, piece: bool = False
+        self, level: int, area: Rectangle, *, seed: int, share: float
     ) -> tuple[Planes, float]:
         """Moments of an area, and the texel size (Viewable.moments)."""
-        if piece:
-            raise _no_piece()
         if seed != 0 or share != 0.0:
             raise UsageError("a map set has no other seed and no blend", remedy="view a material")
         return self._pyramid.read(level, area), self.maps.texel_size
@@ -237,29 +193,6 @@ class Maps:
         around = ((0, 0), (RING, RING), (RING, RING))
         wrapped = np.pad(self.maps.stacked().numpy(), around, mode="wrap")
         return Pyramid(moments_of(wrapped, self.maps.texel_size))
-
-
-def _no_piece() -> UsageError:
-    return UsageError("this has no exemplar", remedy="view a material that has one")
-
-
-def _flashed(setup: FlashSetup) -> Flashed:
-    import torch
-
-    from matcap.flash.geometry import camera_in_plane, setup_rotation, to_upright
-    from matcap.flash.light import CORNER_SQUARED
-
-    camera, light = (tuple(to_upright(setup, place).tolist()) for place in camera_in_plane(setup))
-    turn = setup_rotation(setup)
-    across, up = (each / setup.distance for each in setup.vignetting_centre)
-    axis, cone = (
-        tuple(to_upright(setup, turn.T @ torch.tensor(way, dtype=turn.dtype)).tolist())
-        for way in ((0.0, 0.0, -1.0), (across, up, -1.0))
-    )
-    # The setup's coefficients are of image coordinates, distance times those at distance 1.
-    scale = setup.distance**2 / CORNER_SQUARED
-    lost = (setup.vignetting * scale, setup.vignetting_quartic * scale**2)
-    return Flashed(camera, light, axis, cone, setup.intensity, lost)
 
 
 def open_subject(

@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 from materials import a_material
 from random_maps import random_maps
@@ -29,12 +28,12 @@ def material(tmp_path, monkeypatch):
 
 def test_loose_textures_are_exported(matcap, folder):
     said = matcap(
-        "export", "set", "--to", "polyhaven", "--maps", "diffuse, normal", "--normal", "both",
-        "--name", "{map}", "--bits", "8", "-o", "out", "-q",
+        "export", "set", "--to", "polyhaven", "--normal", "both", "--bits", "8", "-o", "out", "-q",
     )  # fmt: skip
     assert (said.code, said.out, said.err) == (0, "", "")
     names = {file.name for file in (folder / "out").iterdir()}
-    assert names == {"diff.png", "nor_gl.png", "nor_dx.png", "moss_polyhaven.json"}
+    wanted = {"moss_diff_24.png", "moss_nor_gl_24.png", "moss_nor_dx_24.png"}
+    assert names >= wanted | {"moss_polyhaven.json"}
 
 
 def test_a_workflow_that_a_target_lacks_is_refused(matcap, folder):
@@ -44,11 +43,11 @@ def test_a_workflow_that_a_target_lacks_is_refused(matcap, folder):
 
 
 def test_files_of_other_formats(matcap, folder):
-    assert matcap("export", "set", "--to", "raw", "--format", "tx", "-o", "out").code == 0
-    assert (folder / "out" / "moss_diffuse.tx").is_file()
-    found = matcap("export", "set", "--to", "gltf", "--format", "tx")
+    assert matcap("export", "set", "--to", "raw", "--format", "jpg", "-o", "out").code == 0
+    assert (folder / "out" / "moss_diffuse.jpg").is_file()
+    found = matcap("export", "set", "--to", "gltf", "--format", "exr")
     assert found.code == 2
-    assert "--format: glTF cannot hold tx; give png, jpg or webp." in found.err
+    assert "--format: glTF cannot hold exr; give png or jpg." in found.err
 
 
 def test_json_states_what_is_lost(matcap, folder):
@@ -78,47 +77,10 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
     assert not open_tile(material, size=(40, 32), seed=3).maps.periodic
 
 
-@pytest.mark.parametrize("target", ["usd", "polyhaven"])
-def test_tiles_of_a_texture_set_are_cut_from_one_piece(matcap, material, tmp_path, target):
-    import cv2
-
-    size = ("export", material, "--to", target, "--seed", 3, "--size")
-    assert matcap(*size, "32x32", "--udim", "2x2", "-o", "tiles").code == 0
-    assert matcap(*size, "64x64", "-o", "whole").code == 0
-    about = json.loads((tmp_path / "tiles" / f"noise_{target}.json").read_text())
-    whole = json.loads((tmp_path / "whole" / f"noise_{target}.json").read_text())
-    assert (about["udim"], whole["udim"]) == ([2, 2], None)
-    assert about["periodic"]
-    assert about["tile"] == whole["tile"]
-
-    def read(folder, file, number=""):
-        path = tmp_path / folder / file.replace("<UDIM>", number)
-        return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(float)
-
-    assert len(about["files"]) == len(whole["files"]) >= 6
-    for tiled, file in zip(about["files"], whole["files"], strict=True):
-        rows = [[read("tiles", tiled, number) for number in row] for row in _UDIM_ROWS]
-        made, expected = np.vstack([np.hstack(row) for row in rows]), read("whole", file)
-        if "height" in file or "disp" in file:  # each by its own range
-            scales = (one["height_code"]["scale"] for one in (about, whole))
-            made, expected = (
-                scale * (one - 32767.5) for scale, one in zip(scales, (made, expected), strict=True)
-            )
-        assert np.abs(made - expected).mean() <= 0.005 * np.ptp(expected), tiled
-
-
-# As they lie: the lowest row is the first.
-_UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
         ([], 2, "--to: there is no target; choose from materialx, usd, gltf, "),
-        (["--to", "raw", "--name", "{map:>999999999}"], 2, "without a width or a conversion"),
-        (["--to", "raw", "--name", "{map!r}"], 2, "without a width or a conversion"),
-        (["--to", "raw", "--name", "../{map}"], 2, "it leads to another folder"),
-        (["--to", "raw", "--name", "a@{map}"], 2, "other programs may misread"),
         (["--to", "usd", "--unit", "nan"], 2, "'nan' is not from 1e-06 to 1e+09"),
         (["--to", "usd", "--seed", "9" * 25], 2, "is out of range"),
         (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
@@ -126,18 +88,15 @@ _UDIM_ROWS = (("1011", "1012"), ("1001", "1002"))
         (["--to", "unreal-engine"], 2, "did you mean 'unreal'."),
         (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
         (
-            ["--to", "usd", "--name", "{map}"],
+            ["--to", "usd", "--normal", "dx"],
             2,
-            "--name: only presets have this option, and usd is a scene format; leave it out.",
+            "--normal: only presets have this option, and usd is a scene format; leave it out.",
         ),
         (
             ["--to", "usd", "--bits", "half"],
             2,
             "--bits: a .usdz has no float textures; give 8 or 16.",
         ),
-        (["--to", "raw", "--maps", "rough"], 2, "did you mean 'roughness'."),
-        (["--to", "raw", "--name", "{stem}"], 2, "put {map} into the name."),
-        (["--to", "usd", "--udim", "2x2"], 2, "--udim: set is not a material"),
         (["--to", "usd", "-o", "set/moss.json"], 3, "a file stands where a folder is needed"),
     ],
 )

@@ -106,23 +106,19 @@ def test_the_gltf_validator_reports_no_error(tmp_path, made, depth):
     assert complaints(tmp_path / "rust.glb")
 
 
-@pytest.mark.parametrize("container", ["jpg", "webp"])
-def test_jpg_and_webp_textures_make_a_smaller_file(tmp_path, made, container):
+def test_jpg_textures_make_a_smaller_file(tmp_path, made):
     import cv2
 
     sizes = {}
-    for one in (None, container):
+    for one in (None, "jpg"):
         folder = tmp_path / str(one)
         write_export(ExportJob(made["rust"], "rust", container=one), "gltf", folder)
         sizes[one] = (folder / "rust.glb").stat().st_size
-    assert sizes[container] < 0.8 * sizes[None]
+    assert sizes["jpg"] < 0.8 * sizes[None]
     document, view = opened(folder / "rust.glb")
-    for texture, image in zip(document["textures"], document["images"], strict=True):
+    for image in document["images"]:
         raw = np.frombuffer(view(image["bufferView"]), dtype=np.uint8)
         assert cv2.imdecode(raw, cv2.IMREAD_UNCHANGED).shape[:2] == (32, 48)
-        if container == "webp":
-            assert "source" not in texture
-            assert "EXT_texture_webp" in document["extensionsRequired"]
     if has_validator():
         assert complaints(folder / "rust.glb") == []
 

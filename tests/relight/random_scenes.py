@@ -74,7 +74,6 @@ def random_scene(rng: random.Random) -> Scene:
     surface = Surface(
         kind,
         rng.choice([None, 1.0, 2.0]) if kind == "plane" else 1.0,
-        None,
         rng.choice([0.1, 0.5, 1.0, 3.0]),
         rng.choice([0.0, 0.5, 1.0]),
     )

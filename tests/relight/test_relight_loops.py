@@ -10,12 +10,16 @@ import plain.parallax
 import plain.relief
 import plain.shadows
 import pytest
+import torch
+from example.exemplars import an_example
 from plain.horizons import find_horizons
 from plain.lobes import ggx_smith, schlick_weight
 from plain.visible_normals import lobe_of
 from relight_samples import bumpy
 
+from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
+from matcap.field.plane import Rectangle
 from matcap.files.exr import write_exr
 from matcap.relight.block import Block, Hits, ShadingContext, to_frame
 from matcap.relight.camera import dot, lattice, scale, subtract, vec
@@ -95,7 +99,7 @@ def pixels(relief, generator, *, framed=False, effects=EVERY, count=COUNT, rough
 
 
 def test_a_pixel_alone_equals_the_same_pixel_in_a_block():
-    """One hit of a mesh's tip is an array of one place, which is no grid of texels."""
+    """One hit is an array of one place, which is no grid of texels."""
     sampler = Sampler(Texture.from_maps(bumpy(8, 8)), 1.0)
     u, v = (np.array([0.013, 0.4], np.float32) for _ in range(2))
     alone, beside = sampler.read((u[:1], v[:1])), sampler.read((u, v))
@@ -333,3 +337,16 @@ def test_missing_compiled_loops_are_one_sentence(monkeypatch):
             relight(bumpy(8, 8), Scene(Film(4, 4), lights=(PointLight((0.0, 0.0, 2.0)),)))
     finally:
         library.built.cache_clear()
+
+
+def test_a_field_without_torch_is_the_texture_of_its_maps():
+    """To the last bit: slopes by way of the unit normal, one-sided at the borders."""
+    example = an_example()
+    stacked = example.maps(3, Rectangle(0, 0, 40, 30), None)
+    texel_size = example.exemplar.texel_size
+    found = Texture.from_stacked(stacked, texel_size)
+    maps = MapSet.from_stacked(torch.from_numpy(stacked), texel_size, periodic=False)
+    expected = Texture.from_maps(maps)
+    for name in ("diffuse", "specular", "roughness", "height", "slopes"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name))
+    assert (found.texel_size, found.periodic) == (expected.texel_size, expected.periodic)

@@ -1,7 +1,6 @@
 """Surfaces, environments and edges."""
 
 import math
-import warnings
 from dataclasses import replace
 from importlib import import_module
 
@@ -29,9 +28,8 @@ from matcap.relight.scene import (
     Scene,
     Surface,
 )
-from matcap.relight.surfaces import load_mesh
 
-# Sphere, cylinder and mesh; distant planes.
+# Sphere and cylinder; distant planes.
 
 LAMBERT = "none,+diffuse"
 AHEAD = Camera("orthographic", (0.0, 0.0, 5.0), scale=1.2)
@@ -76,117 +74,6 @@ def test_the_material_keeps_its_size_on_a_sphere():
     x = ((edges + 1) / 200 - 1) * 1.2
     longitude = np.arcsin(np.clip(x[np.abs(x) < 0.9], -1, 1))
     np.testing.assert_allclose(np.diff(longitude), 0.25, atol=0.03)
-
-
-QUAD = """
-# a square of four, its texture coordinates filling the unit square
-v -1 -1 0
-v 1 -1 0
-v 1 1 0
-v -1 1 0
-vt 0 0
-vt 1 0
-vt 1 1
-vt 0 1
-vn 0 0 1
-f 1/1/1 2/2/1 3/3/1 4/4/1
-"""
-
-
-def test_a_square_mesh_is_the_plane(tmp_path):
-    """The same material on the plane and on a mesh of two triangles, through the same camera."""
-    (tmp_path / "quad.obj").write_text(QUAD)
-    maps = bumpy(32, 32, relief=0.05)
-    camera = Camera(position=(0.3, -1.5, 2.5))
-    light = PointLight((0.5, 0.5, 1.5), (5.0, 5.0, 5.0))
-    effects = "none,+diffuse,+specular,+falloff,+multiscatter"
-    plane = relight(maps, Scene(Film(40, 30), camera, Surface(), (light,)), effects=effects)
-    # A mesh's texture begins at its corner, a plane's in its middle: half a repetition apart.
-    moved = maps.map(lambda m: m.roll((16, 16), (-2, -1)))
-    scene = Scene(Film(40, 30), camera, Surface("mesh", 2.0, tmp_path / "quad.obj"), (light,))
-    mesh = relight(moved, scene, effects=effects)
-    both = plane.any(axis=-1) & mesh.any(axis=-1)
-    assert both.sum() > 0.97 * plane.any(axis=-1).sum()
-    np.testing.assert_allclose(mesh[both], plane[both], rtol=2e-3, atol=1e-5)
-
-
-def uv_sphere(rows=24, columns=48):
-    """An OBJ of a sphere without normals or texture coordinates, wound outwards."""
-    lines = []
-    for i in range(rows + 1):
-        for j in range(columns):
-            polar, turn = math.pi * i / rows, 2 * math.pi * j / columns
-            ring = math.sin(polar)
-            lines.append(f"v {ring * math.sin(turn)} {math.cos(polar)} {ring * math.cos(turn)}")
-    for i in range(rows):
-        for j in range(columns):
-            a, b = i * columns + j, i * columns + (j + 1) % columns
-            c, d = a + columns, b + columns
-            lines += [f"f {a + 1} {c + 1} {b + 1}", f"f {b + 1} {c + 1} {d + 1}"]
-    return "\n".join(lines)
-
-
-def test_a_sphere_of_triangles_is_a_sphere(tmp_path):
-    (tmp_path / "sphere.obj").write_text(uv_sphere())
-    light = DirectionalLight((1.0, 2.0, 2.0), (math.pi,) * 3)
-    for camera in (AHEAD, Camera(position=(0.5, 1.0, 4.0))):
-        smooth = lambert(Surface("sphere", 2.0), light, camera)
-        mesh = lambert(Surface("mesh", 2.0, tmp_path / "sphere.obj"), light, camera)
-        both = (smooth > 0) & (mesh > 0)
-        assert both.sum() > 0.95 * (smooth > 0).sum()
-        assert np.abs(mesh - smooth)[both].max() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "there are no faces"),
-        ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "line 3 is no valid 'f'"),
-        ("v 0 0\n", "line 1 is no valid 'v'"),
-        ("v 0 0 x\n", "line 1 is no valid 'v'"),
-        ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all vertices are in one place"),
-        ("v nan 0 0\nv 0 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-    ],
-)
-def test_broken_meshes_are_refused(tmp_path, text, message):
-    (tmp_path / "a.obj").write_text(text)
-    with pytest.raises(MatcapError, match=message):
-        load_mesh(tmp_path / "a.obj", 2.0)
-
-
-FACE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
-
-
-@pytest.mark.parametrize(
-    ("held", "corners", "what"),
-    [
-        ("", "1/1/1 2/2/1 3/3/1 4/4/1", "6 corners name normals"),
-        ("vn 0 0 1\n", "1//1 2//7 3//1 4//1", "1 corners name normals"),
-        ("vn 0 0 1\n", "1//1 2//0 3//1 4//-9", "2 corners name normals"),
-        ("vn 0 0 1\n", f"1//1 2//1 3//1 4//{10**20}", "1 corners name normals"),
-        ("vn 0 0 1\nvn 0 0 0\nvn nan 0 1\n", "1//1 2//2 3//3 4//1", ""),
-    ],
-)
-def test_a_mesh_without_the_normals_that_it_names_has_averages(tmp_path, held, corners, what):
-    (tmp_path / "a.obj").write_text(f"{FACE}{held}f {corners}\n")
-    with warnings.catch_warnings(record=True) as result:
-        warnings.simplefilter("always")
-        mesh = load_mesh(tmp_path / "a.obj", 2.0)
-    np.testing.assert_allclose(mesh.normals, np.broadcast_to([0.0, 0.0, 1.0], (2, 3, 3)))
-    assert bool(result) == bool(what)
-    assert what in " ".join(str(one.message) for one in result)
-
-
-def test_normals_that_are_there_are_kept_beside_averages(tmp_path):
-    (tmp_path / "a.obj").write_text(f"{FACE}vn 1 0 1\nf 1//1 2//1 3//1\nf 1 3 4\n")
-    mesh = load_mesh(tmp_path / "a.obj", 2.0)
-    np.testing.assert_allclose(mesh.normals[0], np.broadcast_to([0.5**0.5, 0.0, 0.5**0.5], (3, 3)))
-    np.testing.assert_allclose(mesh.normals[1], np.broadcast_to([0.0, 0.0, 1.0], (3, 3)))
-
-
-def test_a_missing_mesh_is_refused(tmp_path):
-    with pytest.raises(MatcapError, match="no such file"):
-        load_mesh(tmp_path / "a.obj", 2.0)
 
 
 def test_far_bumps_become_roughness_instead_of_sparkle():
@@ -383,6 +270,12 @@ def test_the_search_for_suns_ends_whatever_the_sky(tmp_path, lit):
 FILM = Film(16, 12)
 
 
+@pytest.fixture
+def few_sums(monkeypatch):
+    """Integrals over an environment as fine as sky() is, in a sixteenth of the time."""
+    monkeypatch.setattr("matcap.relight.environment_map._SUMMED", 64)
+
+
 def sky(folder, texel=None, value=1.0, calm=1.0, name="sky.exr"):
     """Surroundings of one radiance, a little uneven, but for a texel (row, column) of 32 x 64."""
     picture = np.full((32, 64, 3), calm, dtype=np.float32)
@@ -400,6 +293,7 @@ def under(light, maps, kind="plane", **options):
 
 @pytest.mark.parametrize("value", [1e7, 1e17])
 @pytest.mark.parametrize("effects", ["all", "-environment"])
+@pytest.mark.usefixtures("few_sums")
 def test_a_plane_does_not_see_what_shines_behind_it(tmp_path, value, effects):
     behind = sky(tmp_path, (16, 0), value)  # the border of the picture is -z
     maps = bumpy(relief=0.02)
@@ -414,6 +308,7 @@ def test_a_texel_that_no_sum_could_hold_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
+@pytest.mark.usefixtures("few_sums")
 def test_no_surroundings_give_negative_light(tmp_path, kind):
     for texel, value in (((16, 0), 1e6), ((16, 32), 1e17), ((12, 47), 1e17)):
         picture = under(sky(tmp_path, texel, value), bumpy(relief=0.02), kind, effects="all")
@@ -482,22 +377,6 @@ def test_maps_with_nan_are_not_reported_as_unreadable(tmp_path, value):
     write_other_exr(tmp_path / "rock_diff.exr", {"RGB": pixels})
     with pytest.raises(MatcapError, match=r"rock_diff.exr: has values that are not finite .*; rep"):
         read_foreign(tmp_path)
-
-
-@pytest.mark.parametrize("vertices", ["v 0 0 0\nv 1 0 0\nv 2 0 0\n", "v 0 0 0\nv 0 0 0\nv 1 1 1\n"])
-def test_a_mesh_of_no_area_is_refused(tmp_path, vertices):
-    path = tmp_path / "lines.obj"
-    path.write_text(vertices + "f 1 2 3\n")
-    scene = Scene(FILM, None, Surface("mesh", 1.0, path), (PointLight((0.0, 0.0, 2.0)),))
-    with pytest.raises(MatcapError, match=r"lines.obj: no triangle has an area.*; export the mesh"):
-        relight(flat(), scene)
-
-
-def test_a_thin_triangle_is_no_line(tmp_path):
-    path = tmp_path / "thin.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 1 0.0001 0\nf 1 2 3\n")
-    scene = Scene(FILM, None, Surface("mesh", 1.0, path), (PointLight((0.0, 0.0, 2.0)),))
-    assert np.isfinite(relight(flat(), scene)).all()
 
 
 def test_values_beyond_half_float_are_reported(tmp_path):

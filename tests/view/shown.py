@@ -7,10 +7,7 @@ import math
 import numpy as np
 from PIL import Image
 
-from matcap.capture.exemplar.estimate import map_set_of
 from matcap.files.exr import write_exr
-from matcap.flash.geometry import FlashSetup
-from matcap.flash.light import render_rectified
 from matcap.relight.output import encode
 from matcap.relight.render import relight
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
@@ -20,9 +17,6 @@ EFFECTS = "all,-multiscatter,-parallax,-shadows,-visibility,-interreflection"
 WIDTH, HEIGHT = 320, 240
 LAMP = (-0.4, 0.25, 0.9)
 STEP = 1 / 255
-SETUP = FlashSetup(
-    60.0, (0.1, 0.05, 0.0), (0.03, -0.04), (5.0, 4.5, 4.0), 0.3, vignetting_centre=(0.1, -0.3)
-)
 
 
 def picture(tab, **state):
@@ -60,18 +54,6 @@ def expected(maps, shape, span, exposure=0.0, lights=None, lamp=LAMP):
 
 def around(material, x, y, side=1024, **which):
     return material.maps(side, side, x=x - side // 2, y=y - side // 2, **which)
-
-
-def of_the_piece(shown, exemplar):
-    """What a picture that is a texel a pixel shows of the piece."""
-    wide, tall = exemplar.size
-    left, top = WIDTH // 2 - wide // 2, HEIGHT // 2 - tall // 2
-    return shown[top : top + tall, left : left + wide]
-
-
-def under_flash(exemplar):
-    """(H, W, 3) what the flash renderer makes of a piece under SETUP."""
-    return render_rectified(map_set_of(exemplar), SETUP).movedim(0, -1).numpy()
 
 
 def inner(mask, by=2):

@@ -1,7 +1,7 @@
 """F0 with a colour: what of it is sent to the page, and that the page draws it as relight does."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,30 +9,15 @@ import torch
 from example.exemplars import an_example
 from four_metals import METALS, metal, repeated, side_by_side
 from materials import a_material
-from shown import (
-    HEIGHT,
-    SETUP,
-    STEP,
-    WIDTH,
-    around,
-    expected,
-    inner,
-    of_the_piece,
-    picture,
-    room_light,
-    under_flash,
-)  # fmt: skip
+from shown import STEP, WIDTH, around, expected, inner, picture, room_light  # fmt: skip
 
-from matcap.brdf.adjust import adjusted, parse_adjustments
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
-from matcap.relight.output import encode
-from matcap.relight.scene import Film
-from matcap.view.document import packed_piece, packed_tile, sealed_page
-from matcap.view.level_of_detail import ExemplarAverages, edged, moments_of
+from matcap.view.document import packed_tile, sealed_page
+from matcap.view.level_of_detail import ExemplarAverages
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
 from matcap.view.pages import WIDTH as PAGE_WIDTH
-from matcap.view.subject import Maps, Materials, open_subject
+from matcap.view.subject import Maps, open_subject
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")
@@ -54,7 +39,7 @@ def golden_exemplar():
 
 
 def golden():
-    return replace(a_material("golden", example=Example.of(golden_exemplar())), setup=SETUP)
+    return a_material("golden", example=Example.of(golden_exemplar()))
 
 
 def first_page(subject, **where):
@@ -133,13 +118,6 @@ def test_the_tile_inside_a_document_says_how_many_channels():
     maps = metal("blue anodised", 48, 32)
     tile, grey = (packed_tile(of) for of in (maps, replace(maps, specular=maps.specular[:1])))
     assert (tile["specular_channels"], grey["specular_channels"]) == (3, 1)
-    piece = packed_piece(golden_exemplar(), 128)
-    assert piece["specular_channels"] == 3
-    assert len(piece["low"]) == len(piece["span"]) == 5
-    moments = moments_of(edged(golden_exemplar().stacked()), 1.0)
-    wide, tall = piece["size"]
-    assert piece["low"][2] == pytest.approx(moments[5].min(), rel=0.2)
-    assert (wide, tall) == (88, 72)
 
 
 # What is drawn.
@@ -220,35 +198,6 @@ def test_an_enclosed_page_draws_metals_as_well(tab, tmp_path):
     assert page.shown() == []
 
 
-def test_colours_stay_while_a_finer_level_appears(tab, served):
-    """Halfway between a coarse form and the sharp one."""
-    flat = metal("gold", 64, 64).map(lambda one: one.mean(dim=(1, 2), keepdim=True))
-    maps = flat.map(lambda one: one.expand(-1, 64, 64).contiguous())
-    with served(Maps(maps, "gold")) as address:
-        page = tab(address.url)
-        whole = picture(page, map="specular", shape="plane")
-        between = page.ask("""() => {
-          const { view } = matcap, { gl, canvas } = view, codes = new Uint8Array(4);
-          const held = [...view.pages.held.values()], { best } = view.wanted();
-          for (const page of held) page.born = page.level > best ? 0 : 1000;
-          const appearing = view.draw(1090);
-          const [x, y] = [canvas.width / 2, canvas.height / 2];
-          gl.readPixels(x, y, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, codes);
-          return [appearing, ...codes];
-        }""")
-    assert between[0] is True
-    assert np.abs(whole[HEIGHT // 2, WIDTH // 2] * 255 - between[1:4]).max() <= 1
-    assert between[1] > between[3] + 100
-
-
-def test_saturation_is_of_f0s_colour_too(metals_tab):
-    """As brdf/adjust.py has it: what colours differ from the grey of their luminance by."""
-    state = parse_adjustments("saturation=0.3")
-    shown = picture(metals_tab, x=0, y=0, span=WIDTH, lamp=HIGH, exposure=1, adjust=asdict(state))
-    wanted, _ = expected(adjusted(repeated(side_by_side()), state), "plane", WIDTH, 1, lamp=HIGH)
-    assert np.abs(shown - wanted).max() <= 2 * STEP
-
-
 def test_an_endless_field_from_its_file_and_enclosed(tab, served, tmp_path):
     material = golden()
     material.save(tmp_path / "golden.matcap")
@@ -264,53 +213,6 @@ def test_an_endless_field_from_its_file_and_enclosed(tab, served, tmp_path):
     tiled = around(material, 0, 0, period=(256, 256))
     wanted, _ = expected(tiled, "plane", WIDTH, lamp=HIGH)
     assert np.abs(shown - wanted).max() <= 2 * STEP
-
-
-def test_the_piece_under_its_own_flash_as_the_capture_renders_it(tab, served):
-    material = golden()
-    exemplar = material.part(Example).exemplar
-    with served(Materials(material)) as address:
-        # From the beginning, so that nothing is asked of the field.
-        page = tab(f"{address.url}#left=piece&right=flash&span={WIDTH}")
-        page.loaded()
-        home = page.ask("matcap.view.initial()")
-        middle = {"span": WIDTH, "x": home["x"], "y": home["y"]}
-        shown = picture(page, left="flash", right="piece", wipe=1, **middle)
-        relit = picture(page, left="flash", right="piece", wipe=0, lamp=HIGH, **middle)
-    flash = encode(under_flash(exemplar), Film())
-    assert np.abs(of_the_piece(shown, exemplar) - flash)[2:-2, 2:-2].max() <= 2 * STEP
-    assert np.ptp(of_the_piece(relit, exemplar), axis=2).max() > 20 * STEP
-
-
-def test_a_coloured_piece_beside_a_grey_field(tab, served):
-    """What lies between two materials is the decoder's, which knows no colour of F0."""
-    first = golden()
-    with served(Materials(first, a_material("other", 4))) as address:
-        page = tab(f"{address.url}#left=piece&right=field&share=0.5")
-        page.loaded()
-        home = page.ask("matcap.view.initial()")
-        state = {"span": WIDTH, "x": home["x"], "y": home["y"], "share": 0.5, "map": "specular"}
-        both = picture(page, left="piece", right="field", **state)
-        low, high = page.ask("matcap.view.range()")
-    spread = np.ptp(both, axis=2)
-    assert spread[:, WIDTH // 2 :].max() <= STEP
-    piece = golden_exemplar()
-    wanted = (piece.specular.transpose(1, 2, 0) - low) / (high - low)
-    half = piece.size[0] // 2
-    off = np.abs(of_the_piece(both, piece) - wanted.clip(0, 1))[:, : half - 1]
-    assert off.max() <= 1.01 * STEP and spread.max() > 40 * STEP
-
-
-def test_the_enclosed_piece_has_its_colour(tab, tmp_path):
-    path = tmp_path / "page.html"
-    path.write_text(sealed_page(Materials(golden()), 256), encoding="utf-8")
-    page = tab(path.as_uri())
-    page.loaded()
-    exemplar = golden_exemplar()
-    home = page.ask("matcap.view.initial()")
-    shown = picture(page, left="flash", right="piece", wipe=1, span=WIDTH, x=home["x"], y=home["y"])
-    off = np.abs(of_the_piece(shown, exemplar) - encode(under_flash(exemplar), Film()))[2:-2, 2:-2]
-    assert np.quantile(off, 0.99) <= 6 * STEP  # a JPEG, and steps
 
 
 def test_four_metals_have_their_f0():

@@ -1,8 +1,6 @@
 """The server: who gets in, what they get, and what happens to those who ask for something else."""
 
-import io
 import json
-from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from threading import Event
@@ -12,7 +10,6 @@ import pytest
 import torch
 from example.exemplars import an_example, blobs, bricks
 from materials import a_material
-from PIL import Image
 from random_maps import random_maps
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
@@ -20,7 +17,6 @@ from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.field import Field
 from matcap.field.plane import Rectangle
-from matcap.files.exr import write_exr
 from matcap.view.document import SCRIPTS, STYLE
 from matcap.view.level_of_detail import (
     ExampleLevels,
@@ -30,18 +26,7 @@ from matcap.view.level_of_detail import (
     halved,
     moments_of,
 )
-from matcap.view.pages import (
-    APRON,
-    MIPS,
-    PAGE_HEIGHT,
-    WIDTH,
-    EncodedPicture,
-    Pages,
-    Place,
-    References,
-    doubt_picture,
-    read_verdict,
-)
+from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture, Pages, Place
 from matcap.view.subject import Maps, Materials
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
@@ -61,7 +46,7 @@ def pages(subject):
 
 @pytest.fixture(scope="module")
 def client(subject, pages):
-    app = server.make_app(subject, ADDRESS, lambda _: pages, References(PHOTO))
+    app = server.make_app(subject, ADDRESS, lambda _: pages, PHOTO)
     return testclient.TestClient(app, base_url=BASE)
 
 
@@ -77,7 +62,6 @@ def test_the_page_and_all_its_files_are_served(client):
         assert f'"{name}"' in texts or f'"./{name}"' in texts
         assert get(client, name).status_code == 200
     assert get(client, "photo").content == PHOTO.data
-    assert get(client, "doubt").status_code == 404
     assert get(client, "alive").status_code == 204
 
 
@@ -384,63 +368,6 @@ def test_slopes_at_an_exemplars_border_are_one_sided():
                                rtol=1e-5)  # fmt: skip
     np.testing.assert_allclose(found[6, -1, 3], (stacked[5, -2, 3] - stacked[5, -1, 3]) / 0.5,
                                rtol=1e-5)  # fmt: skip
-
-
-def test_the_photographed_piece_is_the_exemplar(tmp_path):
-    example = an_example()
-    subject = Materials(a_material(example=example))
-    assert subject.facts.piece == example.exemplar.size
-    wide, tall = example.exemplar.size
-    found, _ = subject.moments(0, Rectangle(0, 0, wide, tall), seed=9, share=0.0, piece=True)
-    assert np.array_equal(found[:4], example.exemplar.stacked()[:4])
-    with pytest.raises(Exception, match="has no exemplar"):
-        Materials(a_material()).moments(0, Rectangle(0, 0, 8, 8), seed=0, share=0.0, piece=True)
-
-
-def test_texels_of_low_confidence_are_hatched():
-    exemplar = an_example().exemplar
-    confidence = exemplar.confidence.copy()
-    confidence[:, :40] = 0.0
-    stored = doubt_picture(replace(exemplar, confidence=confidence))
-    shade = np.asarray(Image.open(io.BytesIO(stored.data)))[..., 3]
-    assert shade[:40].min() > 150 and not shade[40:].any()
-
-
-def test_the_verdict_is_the_captures(tmp_path):
-    assert read_verdict(tmp_path) is None
-    (tmp_path / "report.json").write_text("[]")
-    assert read_verdict(tmp_path) is None
-    result = {"verdict": {"rating": "good", "sentence": "It is."}}
-    (tmp_path / "report.json").write_text(json.dumps(result))
-    assert read_verdict(tmp_path) == ("good", "It is.")
-
-
-def test_surroundings_are_read_as_relight_reads_them(client, tmp_path, monkeypatch):
-    street = np.random.default_rng(0).random((20, 40, 3), np.float32)
-    write_exr(tmp_path / "street.exr", street, half=False)
-    sent = (tmp_path / "street.exr").read_bytes()
-    where = f"/{ADDRESS.token}/surroundings"
-    answer = client.post(where, content=sent)
-    assert json.loads(answer.headers["x-size"]) == [40, 20]
-    assert np.array_equal(np.frombuffer(answer.content, "<f4"), street.ravel())
-    for broken in (b"", b"hello", sent[:-200]):
-        answer = client.post(where, content=broken)
-        assert answer.status_code == 400
-        assert answer.text.startswith("the picture: ") and "\n" not in answer.text
-        assert ".exr" not in answer.text.split(";")[0]
-    assert client.get(where).status_code == 404
-    assert client.post("/wrong/surroundings", content=sent).status_code == 403
-    monkeypatch.setattr("matcap.view.server.LARGEST_FILE", 100)
-    assert client.post(where, content=sent).status_code == 413
-
-
-def test_wide_surroundings_are_averaged_down(client, tmp_path):
-    wide = np.full((2050, 4100, 3), 0.25, np.float32)
-    write_exr(tmp_path / "wide.exr", wide, half=False)
-    sent = (tmp_path / "wide.exr").read_bytes()
-    answer = client.post(f"/{ADDRESS.token}/surroundings", content=sent)
-    assert json.loads(answer.headers["x-size"]) == [2048, 1024]
-    np.testing.assert_allclose(np.frombuffer(answer.content, "<f4"), 0.25, rtol=1e-6)
 
 
 def test_addresses_cannot_be_guessed():

@@ -34,7 +34,7 @@ _SCENE = """\
 One table of each kind, and any number of `[[light]]`; all may be left out, and so may every key
 that has a default. An unknown key is an error that names the nearest right one. Lengths are plane
 units, angles degrees, colours linear Rec.709. Files are relative to the scene file: `.exr` or
-`.hdr` for environment maps, `.obj` for a mesh. Examples: `examples/scenes`.
+`.hdr` for environment maps. Examples: `examples/scenes`.
 """
 _SETTINGS = """\
 In the folder of photographs or beside it. Keys are the names of the options of
@@ -57,7 +57,7 @@ _OWNED = (
     ("Map set: a folder", "matcap.brdf.folder", ("Keys",)),
     ("Export: `NAME_TARGET.json`", "matcap.export.targets", ("Keys",)),
     ("Report: `report.json`", "matcap.capture.report", ("Keys",)),
-    ("Page for sending: `.html`", "matcap.view.document", ("Tile", "Exemplar")),
+    ("Page for sending: `.html`", "matcap.view.document", ("Tile",)),
 )
 
 

@@ -34,7 +34,6 @@ MODULES = {
         "RectangleLight", "EnvironmentLight",
     ),
     "matcap.relight.render": ("Renderer",),
-    "matcap.relight.scenefile": ("light_orbit",),
     "matcap.space.between": ("blend",),
     "matcap.space.prior.store": ("Prior", "load_prior"),
     "matcap.view.document": ("sealed_page",),

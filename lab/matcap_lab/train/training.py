@@ -16,7 +16,7 @@ from torch import Tensor
 from matcap.errors import UsageError
 from matcap.files.color import srgb_decode
 from matcap.space.decoder import DecoderConfig
-from matcap.space.encoder import BACKBONES, FEATURES, EncoderConfig, texture
+from matcap.space.encoder import FEATURES, EncoderConfig, texture
 from matcap.space.prior.store import Prior
 from matcap.statistics.compare import Descriptor, FilterBank
 from matcap_lab.train.corpus import Entry, Pack, first_of_each, srgb_bytes, true_piece
@@ -73,12 +73,6 @@ def configured(stated: dict[str, Any], path: str) -> TrainConfig:
     encoder = _filled(EncoderConfig(), stated.pop("encoder", {}), f"{path}, encoder")
     decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
     config = _filled(TrainConfig(), stated, path)
-    if encoder.backbone not in BACKBONES:
-        raise UsageError.at(
-            path,
-            f"there is no backbone '{encoder.backbone}'",
-            f"choose from {', '.join(BACKBONES)}",
-        )
     if not fits(config.window):
         raise UsageError.at(
             path, f"the window {config.window} is no multiple of 16 from 64 on", "give 96"

@@ -27,7 +27,6 @@ WITHIN = {
     "parallax: the ray ends on the surface": 0.15,
     "parallax: ridges passed through": 1.1,
     "shadows": 1.0,
-    "meshes": 1e-6,
     "whole scenes of any numbers": 0.0,
     "metallic workflow": 5e-3,  # halved twelve times: finer than 8 bits
     "textures written and read": 1.01,

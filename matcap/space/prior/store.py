@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,14 +29,7 @@ from matcap.flash.light import render_rectified
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, DRAWING_CHANNELS, Decoder, DecoderConfig
-from matcap.space.encoder import (
-    BACKBONES,
-    Encoder,
-    EncoderConfig,
-    describe_windows,
-    numbers,
-    texture,
-)
+from matcap.space.encoder import Encoder, EncoderConfig, describe_windows, numbers, texture
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder, config_document, decoder_config, empty_decoder
 from matcap.space.tuning.match import head_start, log_contrast
@@ -247,6 +240,7 @@ SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 # The prior's decoder, trained on to read drawings.
 DRAWING_START = SHIPPED.with_name("drawing.safetensors")
 
+_BACKBONE = "small"  # of the encoder; there is no other
 _MOST_ANCHORS = 1_000_000  # limits the memory that a hostile file can claim
 DETAIL = 1024  # texels across two plane units of a drawn material
 _MEAN_SHAPES = {
@@ -393,7 +387,7 @@ class Prior:
         about = {
             "format": FORMAT,
             "version": VERSIONS[-1],
-            "encoder": asdict(self.encoder.config),
+            "encoder": {"backbone": _BACKBONE, "width": self.encoder.config.width},
             "decoder": config_document(self.decoder.config),
             "anchors": 0 if self.anchors is None else len(self.anchors),
             "about": dict(self.about),
@@ -480,7 +474,6 @@ def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
 
 
 def _encoder_config(stated: Mapping[str, Any]) -> EncoderConfig:
-    config = EncoderConfig(backbone=str(stated["backbone"]), width=int(stated["width"]))
-    if config.backbone not in BACKBONES or not 32 <= config.width <= 2048:
-        raise ValueError(f"encoder {config}")
-    return config
+    if stated["backbone"] != _BACKBONE or not 32 <= int(stated["width"]) <= 2048:
+        raise ValueError(f"encoder {stated}")
+    return EncoderConfig(int(stated["width"]))

@@ -4,29 +4,21 @@ export const $ = (id) => document.getElementById(id);
 export const number = (value, digits = 3) => Number(value.toPrecision(digits)).toString();
 
 const signed = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
-const times = (value) => `× ${number(value)}`;
 
 // By name of the state: legend, columns (0 is a single row), options.
 export const CHOICES = {
   shape: ["Surface", 0, { plane: "Plane", sphere: "Sphere", cylinder: "Cylinder" }],
-  light: ["Light", 3, { point: "Point", studio: "Studio", window: "Window", dusk: "Dusk", own: "Own" }],
+  light: ["Light", 0, { point: "Point", studio: "Studio", window: "Window", dusk: "Dusk" }],
   map: ["Show", 3, { lit: "Lit", diffuse: "Diffuse", specular: "Specular", roughness: "Roughness",
     height: "Height", normal: "Normal" }],
-  left: ["Left of the wipe", 0, { none: "Nothing", photo: "Photo", flash: "Flash", piece: "Relit",
-    second: "Other" }],
-  right: ["Right of the wipe", 0, { flash: "Flash", piece: "Relit", field: "Endless" }],
+  left: ["Left of the wipe", 0, { none: "Nothing", photo: "Photo", second: "Other" }],
 };
 
-// By name of the state or adjustment: label, least, most, step, formatting of a value.
-export const ADJUSTED = ["relief", "roughness", "saturation", "brightness"];
+// By name of the state: label, least, most, step, formatting of a value.
 const SLIDERS = {
   exposure: ["Exposure", -4, 4, 0.25, (value) => `${signed(value)} stops`],
   lift: ["Light's height", 0.2, 3, 0.1, (value) => number(value, 2)],
   share: ["Blend", 0, 1, 0.1, (value) => number(value, 2)],
-  relief: ["Relief", 0, 3, 0.05, times],
-  roughness: ["Roughness", -0.5, 0.5, 0.01, signed],
-  saturation: ["Saturation", 0, 2, 0.05, times],
-  brightness: ["Brightness", 0, 2, 0.05, times],
 };
 
 // An element with its properties and content.
@@ -42,7 +34,6 @@ export function makeControls() {
       make("input", { type: "radio", name, value }), make("span", { textContent: text })));
     const row = make("div", {}, ...cells);
     if (columns) row.classList.add("three");
-    row.append(...$(`${name}-choice`).querySelectorAll("button")); // as one more cell
     $(`${name}-choice`).prepend(make("legend", { textContent: legend }), row);
   }
   for (const [name, [text, min, max, step]] of Object.entries(SLIDERS)) {

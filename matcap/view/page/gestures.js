@@ -1,6 +1,6 @@
 // Pointer, touch and keyboard input to changes of the state.
 
-import { FLASH, MAPS } from "./view.js";
+import { FLASH, LIGHTS, MAPS } from "./view.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
@@ -82,10 +82,7 @@ export function listen(view, set, acts, moved) {
     p: () => set({ shape: "plane" }),
     s: () => set({ shape: "sphere" }),
     c: () => set({ shape: "cylinder" }),
-    l: () => {
-      const { lights } = view;
-      set({ light: lights[(lights.indexOf(view.state.light) + 1) % lights.length] });
-    },
+    l: () => set({ light: LIGHTS[(LIGHTS.indexOf(view.state.light) + 1) % LIGHTS.length] }),
     f: () => set({ lamp: [0, 0, FLASH], light: "point" }),
     "[": () => acts.expose(view.state.exposure - 0.25),
     "]": () => acts.expose(view.state.exposure + 0.25),
@@ -105,9 +102,8 @@ export function listen(view, set, acts, moved) {
       if (event.shiftKey) set({ lamp: [x + 0.1 * way[0], y + 0.1 * way[1], z] });
       else move(-0.1 * way[0], -0.1 * way[1]);
     } else {
-      const act = keys[event.key.toLowerCase()];
-      if (!act) return;
-      act();
+      if (!keys[event.key.toLowerCase()]) return;
+      keys[event.key.toLowerCase()]();
     }
     event.preventDefault();
   });

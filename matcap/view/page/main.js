@@ -1,15 +1,10 @@
 // The page: its view, its controls and what they do.
 
-import { UNCHANGED, adjustmentsText } from "./adjust.js";
-import { fromAddress, toAddress } from "./address.js";
 import { EnclosedPages, ServedPages } from "./source.js";
 import { ROOMS, roomRadiance } from "./rooms.js";
-import { GONE, LEFTS, MAPS, RIGHTS, SHAPES, View } from "./view.js";
-import { $, ADJUSTED, CHOICES, make, makeControls, offer, saySlider } from "./controls.js";
-import { describe, legend, showPiece, showScale, showState, whereabouts } from "./panel.js";
-import { followTheme } from "./theme.js";
-import { readSurroundings } from "./reading.js";
-import { listenForPictures } from "./bring.js";
+import { FLASH, GONE, LEFTS, View } from "./view.js";
+import { $, CHOICES, make, makeControls, offer, saySlider } from "./controls.js";
+import { describe, legend, showScale, showState, showWipe, whereabouts } from "./panel.js";
 import { listen, listenToWipe } from "./gestures.js";
 
 const TURN = 12; // seconds of a turn of the turntable
@@ -23,13 +18,10 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   makeControls();
   describe(about);
 
-  followTheme(() => view?.redraw());
-
   // Show a message for a few seconds.
   let noticed = 0;
-  const tell = (words, wrong = false) => {
+  const tell = (words) => {
     $("notice").textContent = words;
-    $("notice").classList.toggle("wrong", wrong);
     clearTimeout(noticed);
     noticed = setTimeout(() => { $("notice").textContent = ""; }, SAID);
   };
@@ -51,25 +43,14 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     trouble("The graphics driver has stopped. Reload the page.");
   });
 
-  // --- state and address ------------------------------------------------------------------------
-  const there = { none: true, field: true, photo: about.piece && about.photo, flash: about.piece,
-    piece: about.piece, second: about.second };
-  const [lefts, rights] = [LEFTS, RIGHTS].map((names) => names.filter((name) => there[name]));
+  // --- state ------------------------------------------------------------------------------------
+  const there = { none: true, photo: about.piece && about.photo, second: about.second };
   for (const name of LEFTS) offer("left", name, there[name]);
-  const choices = () => (
-    { shape: SHAPES, map: MAPS, light: view.lights, left: lefts, right: rights });
-  const begin = () => fromAddress(location.hash.slice(1), view.initial(), choices());
-  let stored = 0;
+  $("left-choice").hidden = !there.photo && !there.second;
   const set = (changes) => {
     view.set(changes);
     showState(view);
-    clearTimeout(stored);
-    stored = setTimeout(() => {
-      const address = toAddress(view.state, view.initial());
-      history.replaceState(null, "", address ? `#${address}` : location.pathname + location.search);
-    }, 300);
   };
-  addEventListener("hashchange", () => view.set(begin()) || showState(view));
 
   const fit = () => {
     const ratio = Math.min(devicePixelRatio, 2);
@@ -83,7 +64,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
     $("legend").textContent = legend(view);
     $("where").textContent = whereabouts(view);
     showScale(view);
-    showPiece(view);
+    showWipe(view);
     const left = view.missing().length;
     $("gone").hidden = view.failure !== GONE;
     $("status").textContent = view.failure
@@ -96,12 +77,13 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   for (const name of Object.keys(CHOICES)) {
     $(`${name}-choice`).addEventListener("change", ({ target }) => {
       if (target.name !== name) return;
-      const home = name === "left" && !view.wiped && target.value !== "none"
-        ? { shape: "plane", ...(target.value === "second" ? {} : view.homeward()) } : {};
-      set({ [name]: target.value, ...home });
+      const home = {
+        photo: () => ({ shape: "plane", light: "point", lamp: [0, 0, FLASH], ...view.homeward() }),
+        second: () => ({ shape: "plane" }),
+      }[target.value];
+      set({ [name]: target.value, ...home?.() });
     });
   }
-  $("doubted").addEventListener("change", () => set({}));
   const expose = (value) => set({ exposure: Math.min(4, Math.max(-4, value)) });
   $("exposure").addEventListener("input", (event) => expose(event.target.valueAsNumber));
   $("lift").addEventListener("input", (event) => {
@@ -109,43 +91,12 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   });
   $("share").addEventListener("change", (event) => set({ share: event.target.valueAsNumber }));
   $("share").addEventListener("input", ({ target }) => saySlider("share", target.valueAsNumber));
-  const adjust = (changes) => set({ adjust: { ...view.state.adjust, ...changes } });
-  for (const name of ADJUSTED) {
-    $(name).addEventListener("input", ({ target }) => adjust({ [name]: target.valueAsNumber }));
-  }
-  $("tint").addEventListener("input", ({ target }) => {
-    adjust({ tint: target.value === "#000000" ? UNCHANGED.tint : target.value });
-  });
-  $("unadjust").addEventListener("click", () => adjust(UNCHANGED));
   const download = (blob, name) => {
     const link = make("a", { href: URL.createObjectURL(blob), download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
     tell(`saved ${name}`);
   };
-  // Download a sidecar file of the adjustments, for --adjust.
-  $("sidecar").addEventListener("click", () => {
-    const text = JSON.stringify({ adjust: adjustmentsText(view.state.adjust) });
-    download(new Blob([text], { type: "application/json" }), `${about.name}.adjust.json`);
-  });
-
-  const send = about.tile ? null
-    : (file) => fetch("surroundings", { method: "POST", body: file });
-  listenForPictures(async (file) => {
-    tell(`reading ${file.name} …`);
-    try {
-      const picture = await readSurroundings(file, send);
-      view.surround(picture);
-      $("bring").textContent = "Another…";
-      // A plane fills the picture and hides the surroundings.
-      set(view.state.shape === "plane" ? { shape: "sphere" } : {});
-      const round = Math.abs(picture.width / picture.height - 2) < 0.1;
-      tell(`lit by ${file.name}${round ? "" : ", which is no whole panorama and is stretched around"}`);
-    } catch (error) {
-      tell(error instanceof TypeError ? GONE : error.message, true);
-    }
-  });
-
   const sow = (seed) => {
     if ($("seed-row").hidden) return;
     const sound = Number.isSafeInteger(seed);
@@ -159,7 +110,7 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
   });
   $("another").addEventListener("click", () => sow(view.state.seed + 1));
   const reset = () => set({
-    ...view.initial(), seed: view.state.seed, share: view.state.share, adjust: view.state.adjust,
+    ...view.initial(), seed: view.state.seed, share: view.state.share,
   });
   $("reset").addEventListener("click", reset);
   const save = async () => {
@@ -220,7 +171,6 @@ const PULSE = 4000; // milliseconds between looks whether the server is there
 
   // For scripts, and for the tests that compare this picture with Python's.
   window.matcap = { view, set, room: (name, d) => roomRadiance(ROOMS[name], d) };
-  view.set(begin());
-  showState(view);
+  set({});
   fit();
 })();

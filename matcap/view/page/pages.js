@@ -1,8 +1,7 @@
 // Cache of pages on the GPU. A page is a rectangle of the plane at a level (texels 2^k wide), with
 // an apron and its own mip levels. Pages are stored in layers of texture arrays; a table has, for
-// every visible cell, the layer of the best available page, and of the page that it fades in over.
+// every visible cell, the layer of the best available page.
 
-const FADE = 180; // milliseconds in which a page appears
 export const CELLS = 64; // cells of the table along either side; it wraps around
 const UPWARDS = 24; // levels that a cell looks up for something coarser
 // Least displayed range of a map; a flat map would otherwise show rounding noise.
@@ -11,7 +10,7 @@ export const LEAST_RANGE = { specular: 0.02, roughness: 0.05, height: 0.002 };
 export class Pages {
   constructor(gl, form, count) {
     Object.assign(this, { gl, form, count });
-    this.held = new Map(); // key -> {slot, level, column, row, born, used, ends, coloured}
+    this.held = new Map(); // key -> {slot, level, column, row, used, ends, coloured}
     this.free = Array.from({ length: count }, (_, slot) => slot);
     this.turn = 0;
     const fine = gl.getExtension("OES_texture_float_linear");
@@ -19,10 +18,10 @@ export class Pages {
     this.surface = this.#array(fine ? gl.RGBA32F : gl.RGBA16F);
     this.relief = this.#array(fine ? gl.R32F : gl.R16F);
     this.metal = null; // made when the first page of a coloured F0 comes
-    this.entries = new Float32Array(CELLS * CELLS * 12);
+    this.entries = new Float32Array(CELLS * CELLS * 8);
     this.table = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.table);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, 3 * CELLS, CELLS);
+    gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, 2 * CELLS, CELLS);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   }
@@ -59,7 +58,7 @@ export class Pages {
     }
   }
 
-  put(level, column, row, { levels, ends }, now) {
+  put(level, column, row, { levels, ends }) {
     const { gl } = this, slot = this.#room();
     if (slot === undefined) return;
     const coloured = levels[0].metal.length > 0;
@@ -77,32 +76,23 @@ export class Pages {
       fill(this.relief, gl.RED, relief);
       if (coloured) fill(this.metal, gl.RG, metal);
     });
-    const page = { slot, level, column, row, born: now, used: this.turn, ends, coloured };
+    const page = { slot, level, column, row, used: this.turn, ends, coloured };
     this.held.set(Pages.key(level, column, row), page);
   }
 
-  // Write the table for cells of a level; returns whether a page is still fading in. A page of
-  // level `best` is preferred to one of the cell's own level, and that to coarser ones.
-  update(level, best, columns, rows, now, fades) {
-    let appearing = false;
+  // Write the table for cells of a level. A page of level `best` is preferred to one of the cell's own
+  // level, and that to coarser ones.
+  update(level, best, columns, rows) {
     for (let row = rows[0]; row <= rows[1]; row++) {
       for (let column = columns[0]; column <= columns[1]; column++) {
-        let over = null, under = null, share = 1;
-        for (const page of this.#above(level, best, column, row)) {
-          const age = fades ? Math.min(1, (now - page.born) / FADE) : 1;
-          if (age >= 1) { under = page; break; }
-          if (!over) { over = page; share = age; }
-        }
-        if (over) appearing = true;
-        this.#tell(level, column, row, under, over, share);
+        this.#tell(level, column, row, this.#above(level, best, column, row));
       }
     }
     const { gl } = this;
     gl.bindTexture(gl.TEXTURE_2D, this.table);
     gl.texSubImage2D(
-      gl.TEXTURE_2D, 0, 0, 0, 3 * CELLS, CELLS, gl.RGBA, gl.FLOAT, this.entries,
+      gl.TEXTURE_2D, 0, 0, 0, 2 * CELLS, CELLS, gl.RGBA, gl.FLOAT, this.entries,
     );
-    return appearing;
   }
 
   // Least and greatest value of a map over all pages, at least the displayed range apart.
@@ -118,31 +108,25 @@ export class Pages {
     return [low - short / 2, high + short / 2];
   }
 
-  * #above(level, best, column, row) {
+  // The best page for a cell, or undefined.
+  #above(level, best, column, row) {
     const order = best > level ? [best, level] : [level];
     for (let up = Math.max(best, level) + 1; up <= level + UPWARDS; up++) order.push(up);
     for (const one of order) {
       const step = 2 ** (one - level);
       const key = Pages.key(one, Math.floor(column / step), Math.floor(row / step));
       const page = this.held.get(key);
-      if (page) yield page;
+      if (page) return page;
     }
+    return undefined;
   }
 
-  #tell(level, column, row, under, over, share) {
+  #tell(level, column, row, page) {
     const at = cellAt(column, row);
-    [under, over].forEach((page, index) => {
-      const to = at + 4 * index;
-      if (!page) { this.entries[to] = -1; return; }
-      const scale = 2 ** (level - page.level);
-      this.entries[to] = page.slot;
-      this.entries[to + 1] = column * scale - page.column;
-      this.entries[to + 2] = row * scale - page.row;
-      this.entries[to + 3] = scale;
-      this.entries[at + 9 + index] = page.level;
-    });
-    this.entries[at + 8] = over ? share : 0;
-    this.entries[at + 11] = (under?.coloured ? 1 : 0) + (over?.coloured ? 2 : 0);
+    if (!page) { this.entries[at] = -1; return; }
+    const scale = 2 ** (level - page.level);
+    this.entries.set([page.slot, column * scale - page.column, row * scale - page.row, scale,
+      page.level, page.coloured ? 1 : 0], at);
   }
 
   #room() {
@@ -172,5 +156,5 @@ export class Pages {
 
 function cellAt(column, row) {
   const wrap = (value) => ((value % CELLS) + CELLS) % CELLS;
-  return 12 * (wrap(row) * CELLS + wrap(column));
+  return 8 * (wrap(row) * CELLS + wrap(column));
 }

@@ -1,7 +1,6 @@
 // Shows the state in text and on the controls.
 
-import { adjustmentsText } from "./adjust.js";
-import { $, ADJUSTED, CHOICES, make, number, offer, option, showSlider } from "./controls.js";
+import { $, CHOICES, number, option, showSlider } from "./controls.js";
 
 const SCALE = 190; // pixels that the scale is long at most
 
@@ -15,18 +14,6 @@ export function describe(about) {
   if (about.second) {
     $("share-row").hidden = false;
     $("share-label").textContent = `Blend with ${about.second}`;
-  }
-  $("left-choice").hidden = !about.piece && !about.second;
-  offer("light", "own", false);
-  if (about.doubt) {
-    $("doubt").src = about.doubt;
-    $("doubt").alt = "Shaded where the maps have low confidence";
-  }
-  if (about.verdict) {
-    const [rating, ...rest] = about.verdict;
-    // The sentence may begin with the rating.
-    const text = rest.join(" ").replace(new RegExp(`^${rating}:? `), "");
-    $("verdict").replaceChildren(make("b", { textContent: rating }), `: ${text}`);
   }
 }
 
@@ -43,7 +30,7 @@ export function legend(view) {
   const [low, high] = view.range().map((value) => number(value));
   const said = {
     lit: { point: "point light", studio: "a studio: two soft lamps",
-      window: "a window on the left", dusk: "a low sun", own: "your own picture" }[light],
+      window: "a window on the left", dusk: "a low sun" }[light],
     diffuse: "diffuse albedo, sRGB",
     specular: `specular albedo F0, black ${low} to white ${high}`,
     roughness: `roughness, black ${low} to white ${high}`,
@@ -72,48 +59,31 @@ export function showScale(view) {
 export function showState(view) {
   const { state } = view;
   for (const name of Object.keys(CHOICES)) option(name, state[name]).checked = true;
-  offer("light", "own", Boolean(view.own));
   showSlider("exposure", state.exposure);
   showSlider("lift", state.lamp[2]);
   $("lift-row").hidden = state.light !== "point";
   showSlider("share", state.share);
   if (document.activeElement !== $("seed")) $("seed").value = state.seed;
-  for (const name of ADJUSTED) showSlider(name, state.adjust[name]);
-  $("tint").value = state.adjust.tint;
-  const text = adjustmentsText(state.adjust);
-  $("adjust-text").textContent = text ? `--adjust ${text}` : "";
-  showPiece(view);
+  showWipe(view);
 }
 
-// The wipe with the labels of its sides, and the doubt mask, clipped at the wipe.
-export function showPiece(view) {
-  const { state, canvas } = view, shown = view.wiped;
-  const own = state.left !== "second"; // of this material, which verdict and doubt speak of
-  $("wipe").hidden = !shown;
-  $("piece").hidden = !shown || !own;
-  $("right-choice").hidden = !shown || !view.piece;
-  $("doubt-row").hidden = !own || (!view.about.verdict && !view.about.doubt);
-  $("verdict").hidden = !shown || !own || !$("doubted").checked || !view.about.verdict;
-  if (!shown) return;
+// The wipe with the labels of its sides.
+export function showWipe(view) {
+  const { state, canvas } = view;
+  $("wipe").hidden = !view.wiped;
+  if (!view.wiped) return;
   const at = state.wipe * canvas.clientWidth;
   $("wipe").style.left = `${at}px`;
   $("wipe").setAttribute("aria-valuenow", String(Math.round(100 * state.wipe)));
   $("wipe").setAttribute("aria-valuetext",
-    `${sideOf(view, state.left)} to the left, ${sideOf(view, state.right)} to the right`);
+    `${sideOf(view, state.left)} to the left, ${sideOf(view, "field")} to the right`);
   $("wipe-left").textContent = sideOf(view, state.left);
-  $("wipe-right").textContent = sideOf(view, state.right);
-  if (!own) return;
-  $("piece").style.width = `${at}px`;
-  const [left, top, wide, tall] = view.pieceBox;
-  Object.assign($("doubt").style, {
-    left: `${left}px`, top: `${top}px`, width: `${wide}px`, height: `${tall}px`,
-  });
-  $("doubt").hidden = !$("doubted").checked || !view.about.doubt;
+  $("wipe-right").textContent = sideOf(view, "field");
 }
 
 function sideOf({ state, about }, side) {
   return {
-    photo: "photograph", flash: "re-rendered, own flash", piece: "the piece, relit",
+    photo: "photograph",
     second: about.second,
     field: state.share > 0 ? "blend" : state.left === "second" ? about.name
       : about.period ? "repeated" : "endless",

@@ -2,7 +2,6 @@
 // cylinder. The reflectance is that of matcap/relight/loops/loops.h; the camera is that of the
 // photograph, 45 degrees across the long side, straight above.
 
-import { ADJUST_GLSL } from "./adjust.js";
 import { CELLS } from "./pages.js";
 import { SURROUNDINGS_GLSL } from "./surroundings.js";
 
@@ -21,7 +20,7 @@ uniform sampler2DArray albedo;   // diffuse, F0
 uniform sampler2DArray surface;  // alpha squared, slopes along x and y, their variance
 uniform sampler2DArray relief;   // height
 uniform sampler2DArray metal;    // F0 of green and blue, where it has a colour
-uniform sampler2D table;      // three texels a cell: its page, the one that appears, how far and what of them
+uniform sampler2D table;      // two texels a cell: its page's layer, place and scale; its level and colour
 uniform vec2 size;            // of the picture, pixels
 uniform vec2 corner;          // its left bottom one
 uniform vec4 middle;          // where the picture's middle lies in its cell, texels; which cell
@@ -33,12 +32,8 @@ uniform vec4 meanSurface;
 uniform int shape;            // 0 plane, 1 sphere, 2 cylinder
 uniform int map;              // 0 lit, then diffuse, specular, roughness, height, normal
 uniform bool room;            // surroundings, not the point light
-uniform vec3 viewPlace;       // of the camera over a plane
-uniform vec3 lens;            // its axis
-uniform vec3 cone;            // centre of the attenuation, at distance 1 along that axis
-uniform vec2 lost;            // with the squared distance from there, and that squared
 uniform vec3 lightPlace;
-uniform vec3 intensity;
+uniform float intensity;
 uniform bool photographed;    // the photograph itself
 uniform sampler2D photograph; // as large as the bounds
 uniform float gain;
@@ -73,19 +68,10 @@ Texel readAt(vec2 fromMiddle, float level) {
   // Rounded, so that a texel's centre reads that texel alone.
   vec2 place = floor((middle.xy + fromMiddle * tableScale) * 1024.0 + 0.5) / 1024.0;
   vec2 cell = floor(place / PAGE), along = place - cell * PAGE;
-  ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(3, 1);
-  vec4 under = texelFetch(table, at, 0), over = texelFetch(table, at + ivec2(1, 0), 0);
-  // Weight of the page that fades in, both levels; 1 if the first has a coloured F0, 2 if the
-  // second.
-  vec4 more = texelFetch(table, at + ivec2(2, 0), 0);
-  Texel found = read(under, along, level - more.y, mod(more.w, 2.0) > 0.5);
-  if (more.x <= 0.0) return found;
-  Texel fresh = read(over, along, level - more.z, more.w > 1.5);
-  return Texel(mix(found.diffuse, fresh.diffuse, more.x), mix(found.f0, fresh.f0, more.x),
-    mix(found.surface, fresh.surface, more.x), mix(found.height, fresh.height, more.x));
+  ivec2 at = ivec2(mod(middle.zw + cell, CELLS)) * ivec2(2, 1);
+  vec4 more = texelFetch(table, at + ivec2(1, 0), 0);
+  return read(texelFetch(table, at, 0), along, level - more.x, more.y > 0.5);
 }
-
-ADJUST
 
 vec3 encode(vec3 light) {
   vec3 c = clamp(light, 0.0, 1.0);
@@ -162,7 +148,7 @@ void main() {
   vec2 place;
   float footprint;
   if (shape == 0) {
-    eye = viewPlace;
+    eye = vec3(0.0, 0.0, away);
     point = vec3(s, 0.0);
     place = s;
     footprint = 1.0 / half_;
@@ -203,7 +189,7 @@ void main() {
     return;
   }
   float level = log2(max(footprint * texels, 1.0));
-  Texel texel = adjusted(readAt(fromMiddle, level));
+  Texel texel = readAt(fromMiddle, level);
   vec4 b = texel.surface;
   float a2 = min(b.x + b.w, 1.0);
   vec3 n = normalize(vec3(-b.yz, 1.0));
@@ -234,9 +220,6 @@ void main() {
           vec2 lobe = ggxSmith(n, v, l, nv, nl, a2);
           vec3 fresnel = texel.f0 + (1.0 - texel.f0) * schlickWeight(lobe.y);
           radiance = (texel.diffuse / PI + fresnel * lobe.x) * intensity * (nl / squared);
-          vec3 ray = point - eye, off = ray / dot(ray, lens) - cone;
-          float squaredOff = dot(off, off);
-          radiance *= exp(-squaredOff * (lost.x + lost.y * squaredOff));
         }
       }
     }
@@ -253,7 +236,7 @@ export const UNIT = Object.fromEntries([...UNITS, "spare"].map((name, unit) => [
 // Compile and link; throws an error with the driver's message.
 export function buildProgram(gl, { width, height, apron }) {
   const source = FRAGMENT.replace("SURROUNDINGS", SURROUNDINGS_GLSL + BITS_GLSL)
-    .replace("ADJUST", ADJUST_GLSL).replace("TABLE", `
+    .replace("TABLE", `
 const float CELLS = ${CELLS}.0;
 const vec2 PAGE = vec2(${width}.0, ${height}.0);
 const float APRON = ${apron}.0;`);

@@ -3,7 +3,7 @@
 // slope variance), relief (height) and metal (green and blue of a coloured F0, whose red is next to
 // the albedo; else empty).
 
-import { Pyramid, unpackPiece, unpackTile } from "./tile.js";
+import { Pyramid, unpackTile } from "./tile.js";
 
 export class ServedPages {
   constructor(about) {
@@ -11,8 +11,8 @@ export class ServedPages {
     this.most = 3; // asked at once: two that the server makes side by side, and one on its way
   }
 
-  async load({ level, column, row }, { seed, share, piece }, signal) {
-    const query = new URLSearchParams({ level, column, row, seed, share, piece: Number(piece) });
+  async load({ level, column, row }, { seed, share }, signal) {
+    const query = new URLSearchParams({ level, column, row, seed, share });
     const answer = await fetch(`page?${query}`, { signal });
     if (!answer.ok) throw new Error((await answer.text()).slice(0, 200));
     return pageOf(answer, this.form);
@@ -57,24 +57,13 @@ export class EnclosedPages {
     this.pyramid = unpackTile(about.tile).then(
       (tile) => new Pyramid(tile, width, height, about.texel_size),
     );
-    this.enclosed = about.enclosed;
-    this.finest = about.piece_level;
   }
 
-  // Unpacked at the first access.
-  get #piece() {
-    const { enclosed } = this, size = this.texelSize * 2 ** this.finest;
-    this.unpacked ||= unpackPiece(enclosed).then(
-      (tile) => new Pyramid(tile, ...enclosed.size, size, false),
-    );
-    return this.unpacked;
-  }
-
-  async load({ level, column, row }, { piece }) {
-    const pyramid = await (piece ? this.#piece : this.pyramid);
+  async load({ level, column, row }) {
+    const pyramid = await this.pyramid;
     const { width, height, apron, mips } = this.form;
     const levels = Array.from({ length: mips }, (_, mip) => pyramid.read(
-      level + mip - (piece ? this.finest : 0),
+      level + mip,
       (column * width - apron) / 2 ** mip, (row * height - apron) / 2 ** mip,
       (width + 2 * apron) >> mip, (height + 2 * apron) >> mip,
     ));

@@ -4,7 +4,6 @@
 
 const AROUND = 64; // normals of the irradiance, half as many from pole to pole
 const SUMMED = 128; // texels across that it is summed over, at most
-const BRIGHTEST = 6e4; // half floats end at 65504
 
 // Direction of a position in the picture, both coordinates from 0 to 1.
 export function directionOf(u, v) {
@@ -15,30 +14,20 @@ export function directionOf(u, v) {
 export class Surroundings {
   // A picture is {width, height, data}: rows from the top, three floats a texel.
   constructor(gl, picture) {
-    let peak = 0;
-    for (const value of picture.data) peak = Math.max(peak, value);
-    this.strength = Math.max(1, peak / BRIGHTEST);
     const levels = [picture];
     while (levels.at(-1).height >= 8) levels.push(smaller(levels.at(-1)));
     const few = levels.find(({ width }) => width <= SUMMED) || levels.at(-1);
-    this.mean = meanOf(few);
     this.radiance = this.#texture(gl, levels);
     this.irradiance = this.#texture(gl, [irradianceOf(few)]);
   }
 
-  // Set the uniforms.
-  use(gl, places, units) {
+  // Bind the textures.
+  use(gl, units) {
     gl.activeTexture(gl.TEXTURE0 + units.radiances);
     gl.bindTexture(gl.TEXTURE_2D, this.radiance);
     gl.activeTexture(gl.TEXTURE0 + units.irradiances);
     gl.bindTexture(gl.TEXTURE_2D, this.irradiance);
     gl.activeTexture(gl.TEXTURE0 + units.spare);
-    gl.uniform1f(places.strength, this.strength);
-  }
-
-  dispose(gl) {
-    gl.deleteTexture(this.radiance);
-    gl.deleteTexture(this.irradiance);
   }
 
   #texture(gl, levels) {
@@ -47,8 +36,7 @@ export class Surroundings {
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     gl.texStorage2D(gl.TEXTURE_2D, levels.length, gl.RGB16F, levels[0].width, levels[0].height);
     levels.forEach(({ width, height, data }, level) => {
-      const scaled = this.strength > 1 ? data.map((value) => value / this.strength) : data;
-      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, 0, width, height, gl.RGB, gl.FLOAT, scaled);
+      gl.texSubImage2D(gl.TEXTURE_2D, level, 0, 0, width, height, gl.RGB, gl.FLOAT, data);
     });
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER,
       levels.length > 1 ? gl.LINEAR_MIPMAP_NEAREST : gl.LINEAR);
@@ -78,16 +66,6 @@ function smaller({ width, height, data }) {
 function solidAngle({ width, height }, row) {
   const edge = (line) => Math.cos((Math.PI * line) / height);
   return ((edge(row) - edge(row + 1)) * 2 * Math.PI) / width;
-}
-
-// Mean over all channels and directions.
-function meanOf(picture) {
-  let sum = 0;
-  for (let row = 0, at = 0; row < picture.height; row++) {
-    const share = solidAngle(picture, row) / (12 * Math.PI);
-    for (let i = 0; i < 3 * picture.width; i++, at++) sum += share * picture.data[at];
-  }
-  return sum;
 }
 
 // Spherical harmonics would be shorter, but a tenth off at a low sun.
@@ -120,7 +98,6 @@ function irradianceOf(picture) {
 export const SURROUNDINGS_GLSL = `
 uniform sampler2D radiances;    // latitude by longitude
 uniform sampler2D irradiances;  // likewise, of normals
-uniform float strength;         // that both were divided by
 
 vec2 placeOf(vec3 d) {
   float z = abs(d.z) < 1e-9 ? 1e-9 : d.z; // at the poles any longitude will do
@@ -131,9 +108,9 @@ vec2 placeOf(vec3 d) {
 vec3 radianceFrom(vec3 d, float solid) {
   vec2 texels = vec2(textureSize(radiances, 0));
   float texel = 2.0 * PI * PI / (texels.x * texels.y); // at the equator
-  return textureLod(radiances, placeOf(d), 0.5 * log2(max(solid / texel, 1.0))).rgb * strength;
+  return textureLod(radiances, placeOf(d), 0.5 * log2(max(solid / texel, 1.0))).rgb;
 }
 
 vec3 irradianceOn(vec3 n) {
-  return textureLod(irradiances, placeOf(n), 0.0).rgb * strength;
+  return textureLod(irradiances, placeOf(n), 0.0).rgb;
 }`;

@@ -1,7 +1,5 @@
 // Unpacks the maps inside a self-contained document (document.py), and computes their mip levels as
-// matcap/view/level_of_detail.py and level_of_detail.py do for a map set.
-
-import { linearOf } from "./adjust.js";
+// matcap/view/level_of_detail.py does for a map set.
 
 // Planes of a tile: diffuse 3, F0 (1, or 3 where it has a colour), roughness, height.
 const planesOf = (channels) => 5 + channels;
@@ -26,31 +24,6 @@ export async function unpackTile({ size: [width, height], specular_channels, low
   return tile;
 }
 
-// Diffuse albedo as JPEG, other planes in steps, as differences from the number before.
-export async function unpackPiece({
-  size: [width, height], specular_channels, diffuse, low, span, data,
-}) {
-  const bytes = await bytesOf(data), count = width * height, planes = planesOf(specular_channels);
-  const tile = new Float32Array(planes * count), last = planes - 4; // the height, in two bytes
-  for (let k = 0; k <= last; k++) {
-    const steps = k < last ? 255 : 65535;
-    for (let i = 0, value = 0, at = k * count; i < count; i++, at++) {
-      value = (value + (k < last ? bytes[at] : bytes[at] | (bytes[at + count] << 8))) & steps;
-      tile[3 * count + at] = low[k] + (value / steps) * span[k];
-    }
-  }
-  const picture = new Image();
-  picture.src = diffuse;
-  await picture.decode();
-  const drawing = new OffscreenCanvas(width, height).getContext("2d");
-  drawing.drawImage(picture, 0, 0);
-  const codes = drawing.getImageData(0, 0, width, height).data;
-  for (let i = 0; i < 3 * count; i++) {
-    tile[i] = linearOf(codes[4 * (i % count) + Math.floor(i / count)] / 255);
-  }
-  return tile;
-}
-
 function fromHalf(word) {
   const sign = word & 0x8000 ? -1 : 1, exponent = (word >> 10) & 31, rest = word & 1023;
   if (exponent === 0) return sign * rest * 2 ** -24;
@@ -58,19 +31,17 @@ function fromHalf(word) {
 }
 
 const wrapped = (value, side) => ((value % side) + side) % side;
-const clamped = (value, side) => Math.min(Math.max(value, 0), side - 1);
 
 export class Pyramid {
-  // Outside its borders it repeats, or its border is extended.
-  constructor(tile, width, height, texelSize, repeats = true) {
-    this.within = repeats ? wrapped : clamped;
+  // It repeats beyond its borders.
+  constructor(tile, width, height, texelSize) {
     const count = width * height, rough = tile.length - 2 * count;
     this.ends = {
       specular: endsOf(tile.subarray(3 * count, rough)),
       roughness: endsOf(tile.subarray(rough, rough + count)),
       height: endsOf(tile.subarray(rough + count)),
     };
-    this.levels = [{ width, height, data: momentsOf(tile, width, height, texelSize, this.within) }];
+    this.levels = [{ width, height, data: momentsOf(tile, width, height, texelSize) }];
   }
 
   // Moments of a rectangle of a level.
@@ -82,9 +53,9 @@ export class Pyramid {
     const albedo = new Float32Array(4 * wide * tall), surface = new Float32Array(4 * wide * tall);
     const relief = new Float32Array(wide * tall);
     for (let row = 0, i = 0; row < tall; row++) {
-      const line = this.within(y + row, height) * width;
+      const line = wrapped(y + row, height) * width;
       for (let along = 0; along < wide; along++, i++) {
-        const from = moments * (line + this.within(x + along, width)), to = 4 * i;
+        const from = moments * (line + wrapped(x + along, width)), to = 4 * i;
         for (let c = 0; c < 4; c++) albedo[to + c] = data[from + c];
         for (let c = 0; c < more; c++) metal[more * i + c] = data[from + 4 + c];
         const rest = from + alpha2, sx = data[rest + 1], sy = data[rest + 2];
@@ -99,14 +70,14 @@ export class Pyramid {
   }
 }
 
-function momentsOf(tile, width, height, texelSize, within) {
+function momentsOf(tile, width, height, texelSize) {
   const count = width * height, planes = tile.length / count, alpha2 = planes - 2;
   const rough = tile.subarray(alpha2 * count), heights = tile.subarray((planes - 1) * count);
   const step = 0.5 / texelSize, moments = new Float32Array((planes + MORE) * count);
   for (let y = 0, i = 0; y < height; y++) {
-    const up = within(y - 1, height) * width, down = within(y + 1, height) * width;
+    const up = wrapped(y - 1, height) * width, down = wrapped(y + 1, height) * width;
     for (let x = 0; x < width; x++, i++) {
-      const left = y * width + within(x - 1, width), right = y * width + within(x + 1, width);
+      const left = y * width + wrapped(x - 1, width), right = y * width + wrapped(x + 1, width);
       const at = (planes + MORE) * i, rest = at + alpha2;
       for (let c = 0; c < alpha2; c++) moments[at + c] = tile[c * count + i];
       const sx = (heights[right] - heights[left]) * step;

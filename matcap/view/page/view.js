@@ -1,32 +1,25 @@
 // The renderer: state in, picture out. Independent of controls.
 
-import { parseAdjustments, useAdjustments } from "./adjust.js";
 import { CELLS, LEAST_RANGE, Pages } from "./pages.js";
 import { UNIT, buildProgram } from "./shader.js";
 import { ROOMS, roomPicture } from "./rooms.js";
 import { Surroundings } from "./surroundings.js";
-import { dressed } from "./theme.js";
 
 export const SHAPES = ["plane", "sphere", "cylinder"];
-const LIGHTS = ["point", ...Object.keys(ROOMS), "own"];
-// What either side of the wipe may show: the photograph, the exemplar under the photograph's flash,
-// the exemplar under the page's light, the second material's endless field, the field or blend.
-export const LEFTS = ["none", "photo", "flash", "piece", "second"];
-export const RIGHTS = ["flash", "piece", "field"];
+export const LIGHTS = ["point", ...Object.keys(ROOMS)];
+// What may be to the left of the wipe: nothing, the photograph, or the second material's field.
+export const LEFTS = ["none", "photo", "second"];
 export const MAPS = ["lit", "diffuse", "specular", "roughness", "height", "normal"];
 // Framing as in the shader: a sphere as in matcap relight, a cylinder with its full height.
 const ROOM_AROUND = { sphere: 1.25, cylinder: 1.6 };
 export const FLASH = 1 / Math.tan(Math.PI / 8);
-const CAMERA = { place: [0, 0, FLASH], lens: [0, 0, -1], cone: [0, 0, -1], lost: [0, 0] };
-const ORDINARY = 0.35; // mean radiance of surroundings that need no other exposure
 const NEAREST = 4, FARTHEST = 2 ** 30; // texels across
 const FARTHEST_LEVEL = 21;
 const COARSER = 3; // levels between what is sharp and what comes first
 const MIRRORED = 48, HURRIED = 8; // directions of a room, and while anything moves
 const STRIPS = 12; // that a picture is settled in
 const SETTLED = 200; // milliseconds after which nothing moves any more
-const PIECES = 20; // pages of the piece
-const SPARE = 12, SPARE_PIECE = 4; // pages kept for coarse forms and for what was just seen
+const SPARE = 12; // pages kept for coarse forms and for what was just seen
 export const GONE = "The server does not answer.";
 
 export class View {
@@ -40,12 +33,9 @@ export class View {
     // Small devices cache fewer pages: 130 MB of textures, not 320.
     const small = Math.min(screen.width, screen.height) < 700, count = small ? 26 : 64;
     this.pages = new Pages(gl, source.form, count);
-    this.field = { name: "field", pages: this.pages, finest: 0, count, spare: SPARE };
+    this.field = { name: "field", pages: this.pages, count };
     // The second material alone, in no more memory than a small device has.
-    this.second = { name: "second", pages: null, finest: 0, count: 26, spare: SPARE };
-    // The exemplar, if there is one; its finest level may be coarser than the field's.
-    this.piece = about.piece && { name: "piece", pages: null, finest: about.piece_level,
-      count: PIECES, spare: SPARE_PIECE };
+    this.second = { name: "second", pages: null, count: 26 };
     this.rooms = new Map(); // surroundings by the light's name, made when they are first seen
     const places = buildProgram(gl, source.form);
     this.places = places;
@@ -59,8 +49,6 @@ export class View {
     this.loading = new Map();
     this.failure = "";
     this.changed = () => {};
-    this.fades = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.drawn = 0;
   }
 
   initial() {
@@ -69,17 +57,14 @@ export class View {
       shape: "plane", map: "lit", light: "point", exposure: 0, seed: this.about.seed, share: 0,
       x: 4 * width, y: 4 * height, // texel in the middle; y downwards
       span: 1.5 * width, // texels across the long side, or a sphere's diameter
-      left: "none", right: "field", wipe: 0.5, // what is on either side of the wipe, and where that is
-      adjust: parseAdjustments(this.about.adjust),
-      // In units of half the long side, or of the radius; of a photograph, its flash.
-      lamp: this.about.flash?.light ?? [-0.35, 0.3, 1],
+      left: "none", wipe: 0.5, // what is to the left of the wipe, and where that is
+      lamp: [-0.35, 0.3, 1], // in units of half the long side, or of the radius
     };
   }
 
   set(changes) {
     const before = this.state;
     this.state = { ...before, ...changes };
-    if (!this.lights.includes(this.state.light)) this.state.light = "point";
     this.state.span = Math.min(Math.max(this.state.span, NEAREST), FARTHEST);
     const sown = before.seed !== this.state.seed;
     if (sown || before.share !== this.state.share) this.#forget(this.field);
@@ -123,71 +108,50 @@ export class View {
     return Math.min(exact, FARTHEST_LEVEL);
   }
 
-  // Lights to choose from.
-  get lights() {
-    return LIGHTS.filter((name) => name !== "own" || this.own);
-  }
-
-  // Set an environment map of the user's (surroundings.js).
-  surround(picture) {
-    this.rooms.get("own")?.dispose(this.gl);
-    this.own = new Surroundings(this.gl, picture);
-    this.rooms.set("own", this.own);
-    const stops = Math.log2(ORDINARY / Math.max(this.own.mean, 1e-6));
-    this.set({ light: "own", exposure: Math.min(4, Math.max(-4, Math.round(stops * 4) / 4)) });
-  }
-
   get wiped() {
     return this.state.left !== "none" && this.state.shape === "plane";
   }
 
-  // Layers to draw, the left side of the wipe last.
+  // What to draw, the left side of the wipe last.
   get #sides() {
-    return this.wiped ? [this.state.right, this.state.left] : ["field"];
+    return this.wiped ? ["field", this.state.left] : ["field"];
   }
 
   #layerOf(side) {
-    return { field: this.field, second: this.second }[side] || this.piece;
+    return side === "second" ? this.second : this.field;
   }
 
   // Layers that are drawn from pages.
   get layers() {
-    const sides = this.#sides.filter((side) => side !== "photo");
-    return [...new Set(sides.map((side) => this.#layerOf(side)))];
+    return this.#sides.filter((side) => side !== "photo").map((side) => this.#layerOf(side));
   }
 
-  // The texel of a layer in the picture's middle, and half its visible extent. The exemplar's
-  // middle is where the view begins.
-  #whereabouts(layer) {
-    const { x, y } = this.state;
-    if (layer !== this.piece) return { x, y, bounds: [-Infinity, -Infinity, Infinity, Infinity] };
-    const home = this.initial(), [wide, tall] = this.about.piece;
-    return { x: x - home.x + wide / 2, y: y - home.y + tall / 2, bounds: [0, 0, wide, tall] };
+  // Borders of the photograph, in texels from the picture's middle: left, top, right, below. The
+  // photograph's middle is where the view begins.
+  #photographed() {
+    const { x, y } = this.state, home = this.initial(), [wide, tall] = this.about.piece;
+    const [left, top] = [home.x - wide / 2 - x, home.y - tall / 2 - y];
+    return [left, top, left + wide, top + tall];
   }
 
   // First and last column and row of visible pages of a level.
-  seen(level, layer = this.field) {
+  seen(level) {
     const { width, height } = this.source.form, [across, down] = this.#reach();
-    const { x, y, bounds } = this.#whereabouts(layer);
-    const range = (from, to, side) => {
-      const first = Math.floor(from / side);
-      return [first, Math.max(Math.ceil(to / side) - 1, first)];
+    const { x, y } = this.state;
+    const range = (middle, reach, side) => {
+      const first = Math.floor((middle - reach) / side);
+      return [first, Math.max(Math.ceil((middle + reach) / side) - 1, first)];
     };
-    const [wide, tall] = [width * 2 ** level, height * 2 ** level];
-    return {
-      columns: range(Math.max(x - across, bounds[0]), Math.min(x + across, bounds[2]), wide),
-      rows: range(Math.max(y - down, bounds[1]), Math.min(y + down, bounds[3]), tall),
-    };
+    return { columns: range(x, across, width * 2 ** level), rows: range(y, down, height * 2 ** level) };
   }
 
   #listed(level, layer) {
-    const { width, height } = this.source.form, { columns, rows } = this.seen(level, layer);
-    const where = this.#whereabouts(layer);
+    const { width, height } = this.source.form, { columns, rows } = this.seen(level);
     const found = [];
     for (let row = rows[0]; row <= rows[1]; row++) {
       for (let column = columns[0]; column <= columns[1]; column++) {
-        const x = (column + 0.5) * width * 2 ** level - where.x;
-        const y = (row + 0.5) * height * 2 ** level - where.y;
+        const x = (column + 0.5) * width * 2 ** level - this.state.x;
+        const y = (row + 0.5) * height * 2 ** level - this.state.y;
         found.push({ layer, level, column, row, far: x * x + y * y });
       }
     }
@@ -198,29 +162,27 @@ export class View {
   // to the middle first. `best` is the sharp level, coarser than needed if the cache is too small
   // for all pages.
   wanted(layer = this.field) {
-    let best = Math.max(this.level, layer.finest);
-    const room = layer.count - layer.spare;
-    while (this.#count(best, layer) > room && best < FARTHEST_LEVEL) best += 1;
+    let best = this.level;
+    while (this.#count(best) > layer.count - SPARE && best < FARTHEST_LEVEL) best += 1;
     const coarse = this.#listed(Math.min(best + COARSER, FARTHEST_LEVEL), layer);
     return { best, pages: [...coarse, ...this.#listed(best, layer)] };
   }
 
-  #count(level, layer) {
-    const { columns, rows } = this.seen(level, layer);
+  #count(level) {
+    const { columns, rows } = this.seen(level);
     return (columns[1] - columns[0] + 1) * (rows[1] - rows[0] + 1);
   }
 
   redraw() {
     if (this.pending) return;
-    this.pending = requestAnimationFrame((now) => {
+    this.pending = requestAnimationFrame(() => {
       this.pending = 0;
       this.#fetch();
       const hurried = this.state.light !== "point" && this.state.map === "lit";
-      const appearing = this.draw(now, hurried ? HURRIED : MIRRORED);
-      if (appearing) this.redraw();
+      this.draw(hurried ? HURRIED : MIRRORED);
       this.changed();
       clearTimeout(this.settling);
-      if (hurried && !appearing && this.loading.size === 0) {
+      if (hurried && this.loading.size === 0) {
         this.settling = setTimeout(() => this.#settle(0), SETTLED);
       }
     });
@@ -235,28 +197,25 @@ export class View {
     if (index + 1 < STRIPS) this.settling = setTimeout(() => this.#settle(index + 1), 0);
   }
 
-  // Draw now; returns whether a page is still fading in.
-  draw(now = Infinity, mirrored = MIRRORED) {
+  // Draw now.
+  draw(mirrored = MIRRORED) {
     const { gl, places, state, canvas } = this;
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.uniform2f(places.size, canvas.width, canvas.height);
-    gl.uniform3f(places.ground, ...dressed());
+    gl.uniform3f(places.ground, ...groundColour());
     gl.uniform1f(places.texels, this.scale);
     gl.uniform1i(places.shape, SHAPES.indexOf(state.shape));
     gl.uniform1i(places.map, MAPS.indexOf(state.map));
     gl.uniform1i(places.mirrored, mirrored);
     gl.uniform1f(places.gain, 2 ** state.exposure);
     gl.uniform2f(places.range, ...this.range());
-    useAdjustments(gl, places, state.adjust);
     gl.uniformMatrix3fv(places.turned, false, this.#turned());
+    const { place, intensity } = this.lamp();
+    gl.uniform3f(places.lightPlace, ...place);
+    gl.uniform1f(places.intensity, intensity);
+    gl.uniform1i(places.room, state.light === "point" ? 0 : 1);
     if (state.light !== "point") this.#room();
-    let appearing = false, across = 1;
-    for (const side of this.#sides) {
-      appearing = this.#drawSide(side, across, now) || appearing;
-      across = state.wipe;
-    }
-    this.drawn += 1;
-    return appearing;
+    this.#sides.forEach((side, index) => this.#drawSide(side, index ? state.wipe : 1));
   }
 
   #room() {
@@ -264,33 +223,7 @@ export class View {
     if (!rooms.has(state.light)) {
       rooms.set(state.light, new Surroundings(gl, roomPicture(ROOMS[state.light])));
     }
-    rooms.get(state.light).use(gl, this.places, UNIT);
-  }
-
-  // Camera and light of a side.
-  #light(side) {
-    const { gl, places, state, about } = this;
-    gl.uniform1i(places.room, side !== "flash" && state.light !== "point" ? 1 : 0);
-    gl.uniform1i(places.photographed, side === "photo" ? 1 : 0);
-    let { place: from, lens, cone, lost } = CAMERA, { place, intensity } = this.lamp();
-    intensity = [intensity, intensity, intensity];
-    if (side === "flash") {
-      // The photograph's long side is two plane units, its middle the origin.
-      const { camera, light, axis, intensity: power, vignetting } = about.flash;
-      const where = this.#whereabouts(this.piece), [wide, tall] = about.piece;
-      const plane = 2 / wide, unit = this.scale * plane;
-      const middle = [(where.x - wide / 2) * plane, (tall / 2 - where.y) * plane, 0];
-      const seen = (point) => point.map((value, k) => (value - middle[k]) / unit);
-      [from, place, lens, lost] = [seen(camera), seen(light), axis, vignetting];
-      cone = about.flash.cone;
-      intensity = power.map((value) => value / unit ** 2);
-    }
-    gl.uniform3f(places.viewPlace, ...from);
-    gl.uniform3f(places.lens, ...lens);
-    gl.uniform3f(places.cone, ...cone);
-    gl.uniform2f(places.lost, ...lost);
-    gl.uniform3f(places.lightPlace, ...place);
-    gl.uniform3f(places.intensity, ...intensity);
+    rooms.get(state.light).use(gl, UNIT);
   }
 
   // Load the photograph.
@@ -316,65 +249,46 @@ export class View {
     return false;
   }
 
-  #drawSide(side, across, now) {
-    const { gl, canvas } = this, layer = this.#layerOf(side);
-    this.#light(side);
-    let appearing = false;
-    if (side === "photo") {
-      this.#placed(layer, 0);
-      if (!this.#photograph()) return false; // it will be drawn when it is there
-    } else {
-      appearing = this.#drawPages(layer, now);
-    }
+  #drawSide(side, across) {
+    const { gl, canvas, places } = this, isPhoto = side === "photo";
+    gl.uniform1i(places.photographed, isPhoto ? 1 : 0);
+    gl.uniform4f(places.bounds, ...(isPhoto ? this.#photographed() : [-3e38, -3e38, 3e38, 3e38]));
+    if (isPhoto && !this.#photograph()) return; // it will be drawn when it is there
+    if (!isPhoto) this.#drawPages(this.#layerOf(side));
     const { bottom, tall } = this.strip || { bottom: 0, tall: canvas.height };
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, bottom, Math.round(across * canvas.width), tall);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    return appearing;
   }
 
-  // Pages of the exemplar and of a second material are created at the first use.
+  // Pages of a second material are created at the first use.
   #open(layer) {
     layer.pages ||= new Pages(this.gl, this.source.form, layer.count);
     return layer.pages;
   }
 
   // Bind textures of a layer for drawing.
-  #drawPages(layer, now) {
+  #drawPages(layer) {
     this.#open(layer);
     const { best, pages } = this.wanted(layer);
     layer.pages.use(pages);
-    const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells, layer);
-    const appearing = layer.pages.update(cells, best, columns, rows, now, this.fades);
+    const cells = Math.max(best - 1, 0), { columns, rows } = this.seen(cells);
+    layer.pages.update(cells, best, columns, rows);
     layer.pages.bind(UNIT);
-    this.#placed(layer, cells);
-    return appearing;
+    this.#placed(cells);
   }
 
-  // Set the uniforms of a layer's position.
-  #placed(layer, cells) {
-    const { gl, places } = this;
-    const { width, height } = this.source.form, where = this.#whereabouts(layer);
-    const [x, y] = [where.x / (width * 2 ** cells), where.y / (height * 2 ** cells)];
+  // Set the uniforms of the position in a table of cells.
+  #placed(cells) {
+    const { gl, places } = this, { width, height } = this.source.form;
+    const [x, y] = [this.state.x / (width * 2 ** cells), this.state.y / (height * 2 ** cells)];
     const turn = (value) => Math.floor(value) - Math.floor(value / CELLS) * CELLS;
     const within = (value, side) => (value - Math.floor(value)) * side;
     gl.uniform4f(places.middle, within(x, width), within(y, height), turn(x), turn(y));
     gl.uniform1f(places.tableScale, 2 ** -cells);
-    const [left, top, right, below] = where.bounds.map((end, i) => end - (i % 2 ? where.y : where.x));
-    const most = (value) => Math.min(Math.max(value, -3e38), 3e38);
-    gl.uniform4f(places.bounds, most(left), most(top), most(right), most(below));
   }
 
-  // Rectangle of the exemplar in the canvas's pixels: left, top, width, height.
-  get pieceBox() {
-    const { clientWidth, clientHeight } = this.canvas;
-    const where = this.#whereabouts(this.piece), [wide, tall] = this.about.piece;
-    const scale = Math.max(clientWidth, clientHeight) / this.state.span;
-    return [clientWidth / 2 - where.x * scale, clientHeight / 2 - where.y * scale,
-      wide * scale, tall * scale];
-  }
-
-  // Fit the exemplar to the picture.
+  // Fit the photograph to the picture.
   homeward() {
     const { clientWidth, clientHeight } = this.canvas, [wide, tall] = this.about.piece;
     const { x, y } = this.initial();
@@ -384,12 +298,8 @@ export class View {
 
   // Values that black and white stand for in the displayed map.
   range() {
-    const { map, adjust } = this.state;
-    if (!(map in LEAST_RANGE)) return [0, 1];
-    const ends = this.pages.range(map);
-    if (map === "height") return ends.map((value) => value * Math.max(adjust.relief, 0.01));
-    if (map === "roughness") return ends.map((value) => value + adjust.roughness);
-    return ends;
+    const { map } = this.state;
+    return map in LEAST_RANGE ? this.pages.range(map) : [0, 1];
   }
 
   // Half the visible extent at the surface's middle, in units.
@@ -440,14 +350,13 @@ export class View {
       if (this.loading.has(key)) continue;
       const stop = new AbortController(), entry = { stop };
       this.loading.set(key, entry);
-      const { seed } = this.state, piece = place.layer === this.piece;
-      const share = place.layer === this.second ? 1 : this.state.share;
-      this.source.load(place, { seed, share, piece }, stop.signal).then(
+      const { seed } = this.state, share = place.layer === this.second ? 1 : this.state.share;
+      this.source.load(place, { seed, share }, stop.signal).then(
         (page) => {
           if (this.loading.get(key) !== entry) return; // nobody waits for it any more
           this.loading.delete(key);
           if (place.layer === this.field) this.texelSize = page.texelSize;
-          this.#open(place.layer).put(place.level, place.column, place.row, page, performance.now());
+          this.#open(place.layer).put(place.level, place.column, place.row, page);
           this.#fetch(); // at once: a frame may take longer than a page
           this.redraw();
         },
@@ -473,4 +382,10 @@ export class View {
     this.draw();
     return new Promise((done) => { this.canvas.toBlob(done, "image/png"); });
   }
+}
+
+// Background colour, components from 0 to 1.
+function groundColour() {
+  const colour = getComputedStyle(document.documentElement).getPropertyValue("--stage").trim();
+  return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
 }

@@ -1,4 +1,4 @@
-"""Small good files of every kind that matcap reads, and ways to spoil them."""
+"""Small good files of every kind that matcap reads but pictures, and ways to spoil them."""
 
 from __future__ import annotations
 
@@ -8,18 +8,12 @@ import random
 import re
 import struct
 import sys
-import zlib
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import OpenImageIO as oiio
-import tifffile
-from PIL import Image, PngImagePlugin
-from simulated.files import write_jpeg, write_shot
-from simulated.materials import piece
-from simulated.photographs import PhoneCamera, noisy, take
+from PIL import Image
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.example.example import Example
@@ -31,8 +25,6 @@ from matcap.space.decoder import DecoderConfig
 from matcap.statistics.lattice import Wave
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
-sys.path.insert(0, str(Path(__file__).parents[2] / "photo"))
-from icc_files import matrix_profile
 from materials import a_material
 from random_maps import random_maps
 
@@ -80,100 +72,27 @@ _NUMBERS = (0, 1, 2, 255, 256, 32767, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1,
 
 def write_inputs(folder: Path) -> dict[str, list[Path]]:
     """Good files by the kind of reader that they are for."""
-    camera = PhoneCamera(width=96, height=72, supersampling=1)
-    shot = take(piece("leather", 3), camera, FlashSetup(offset=(0.1, 0.05, 0.0)))
-    light = noisy(shot.linear, shot.camera, 1).astype(np.float32)
-    code = np.round(light * 65535.0).astype(np.uint16)
-    write_shot(folder / "plain.dng", shot, 1)
-    write_shot(folder / "shaded.dng", shot, 1, shading=0.4)
-    write_jpeg(folder / "exif.jpg", shot, 1)
-    photographs = _write_photographs(folder, (code >> 8).astype(np.uint8))
-    for name, pixels, form in (
-        ("16.png", code, "uint16"), ("16.tif", code, "uint16"), ("light.exr", light, "half"),
-    ):  # fmt: skip
-        oiio.ImageBuf(pixels).write(str(folder / name), form)
+    folder.mkdir(parents=True, exist_ok=True)
+    colour = np.random.default_rng(3).integers(0, 256, (32, 32, 3), np.uint8)
     (folder / "scene.toml").write_text(SCENE)
     (folder / "matcap.toml").write_text(SETTINGS)
     write_material(folder / "small.matcap")
     write_example(folder / "example.matcap")
     maps = random_maps(16, 16, low=0.1, high=0.6)
     write_mapset(maps, folder / "set", MapSetInfo("set"))
-    surroundings = _write_surroundings(folder)
-    foreign = _write_foreign(folder, (code >> 8).astype(np.uint8)[:32, :32])
+    foreign = _write_foreign(folder, colour)
     (folder / "record.json").write_text(
         json.dumps({"format": "matcap batch record", "version": 1, "identity": "i",
                     "files": {"a": 1}, "seconds": 3.0, "steps": 4})
     )  # fmt: skip
-    (folder / "mesh.obj").write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
-    )
     return {
-        "photo": [
-            *(folder / name for name in ("plain.dng", "shaded.dng", "exif.jpg")),
-            *(folder / name for name in ("16.png", "16.tif")),
-            *photographs,
-        ],
-        "exr": [folder / "light.exr", folder / "set" / "set_height.exr"],
-        "picture": surroundings,
         "foreign": foreign,
-        "mask": [folder / "mask.png", folder / "mask.tif", folder / "foreign" / "w_AO.webp"],
         "material": [folder / "small.matcap", folder / "example.matcap"],
         "mapset": [folder / "set" / "set.json"],
         "scene": [folder / "scene.toml"],
         "settings": [folder / "matcap.toml"],
         "record": [folder / "record.json"],
-        "mesh": [folder / "mesh.obj"],
     }
-
-
-def _write_photographs(folder: Path, codes: np.ndarray) -> list[Path]:
-    """Of every kind that is read, with what they may state of themselves."""
-    place = folder / "photographs"
-    place.mkdir()
-    alpha = np.where(np.arange(codes.shape[1]) > 20, 255, 0).astype(np.uint8)
-    cut_out = Image.fromarray(np.dstack([codes, np.broadcast_to(alpha, codes.shape[:2])]))
-    picture, exif = Image.fromarray(codes), Image.Exif()
-    exif.update({0x0112: 6})
-    exif.get_ifd(0x8769).update({0xA405: 26, 0xA001: 65535, 0x920A: 4.0, 0xA20E: 1000.0})
-    xmp = b'<x tiff:Orientation="3" exif:FocalLengthIn35mmFilm="26"/>'
-    picture.save(place / "a.jpg", exif=exif, xmp=xmp, icc_profile=matrix_profile())
-    picture.convert("CMYK").save(place / "inks.jpg")
-    cut_out.save(place / "a.png", exif=exif, icc_profile=matrix_profile())
-    stated = PngImagePlugin.PngInfo()
-    stated.add(b"gAMA", struct.pack(">I", 55_000))
-    primaries = 31_270, 32_900, 68_000, 32_000, 26_500, 69_000, 15_000, 6_000
-    stated.add(b"cHRM", struct.pack(">8I", *primaries))
-    picture.convert("L").save(place / "grey.png", pnginfo=stated)
-    cut_out.save(place / "a.webp", exif=exif, xmp=xmp)
-    picture.save(place / "a.avif", exif=exif)
-    deep = codes.astype(np.uint16) * 257
-    with tifffile.TiffWriter(place / "pages.tif") as file:
-        file.write(codes[:64, :64], photometric="rgb", subfiletype=1)
-        file.write(deep, photometric="rgb", compression="zlib", iccprofile=matrix_profile())
-    tifffile.imwrite(place / "lab.tif", codes, photometric="cielab")
-    tifffile.imwrite(place / "float.tif", (codes / 255).astype(np.float32), photometric="rgb")
-    if find_spec("pillow_heif"):
-        import pillow_heif
-
-        pillow_heif.from_pillow(picture).save(place / "a.heic", exif=exif.tobytes())
-    return sorted(place.iterdir())
-
-
-def _write_surroundings(folder: Path) -> list[Path]:
-    """Panoramas of 16 x 8 pixels, of every kind that is read."""
-    wide = np.random.default_rng(2).uniform(0.1, 0.9, (8, 16, 3)).astype(np.float32)
-    for name, form in (("sky.exr", "half"), ("sky.hdr", "float"), ("sky.png", "uint8")):
-        stored = (255 * wide).astype(np.uint8) if form == "uint8" else wide
-        oiio.ImageBuf(stored).write(str(folder / name), form)
-    Image.fromarray((255 * wide).astype(np.uint8)).save(folder / "sky.jpg")
-    plain = (folder / "sky.hdr").read_bytes()
-    (folder / "turned.hdr").write_bytes(
-        b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\nEXPOSURE=2\nCOLORCORR=1 2 3\n\n+X 16 -Y 8\n"
-        + plain[-8 * 16 * 4 :]
-    )
-    return [folder / f"sky.{kind}" for kind in ("exr", "hdr", "png", "jpg")] + [
-        folder / "turned.hdr"
-    ]
 
 
 def _write_foreign(folder: Path, colour: np.ndarray) -> list[Path]:
@@ -193,8 +112,6 @@ def _write_foreign(folder: Path, colour: np.ndarray) -> list[Path]:
     height = oiio.ImageBuf(np.float32(colour / 255.0))
     height.write(str(place / "w_Displacement.exr"), "half")
     Image.fromarray(grey).save(place / "w_Roughness.jpg")
-    Image.fromarray(layer).save(folder / "mask.png")
-    Image.fromarray(grey).save(folder / "mask.tif")
     maps = random_maps(16, 16, low=0.1, high=0.6)
     write_export(ExportJob(maps, "out"), "unity-urp", folder / "exported")
     return sorted(place.iterdir()) + sorted((folder / "exported").iterdir())
@@ -225,31 +142,17 @@ def spoil(data: bytes, kind: str, others: list[bytes], chance: random.Random) ->
         lambda d: _join(d, chance.choice(others), chance),
         lambda d: _fill(d, chance),
     ]
-    if kind in ("scene", "settings", "mapset", "record", "mesh") or data[:1] == b"{":
+    if kind in ("scene", "settings", "mapset", "record") or data[:1] == b"{":
         ways = [lambda d: _reword(d, chance)] * 8 + ways
     if kind == "material":
         ways = [lambda d: _redescribe(d, chance)] * 6 + ways
     # Most of what matters stands at the beginning of a picture.
-    if kind in ("photo", "exr", "picture", "foreign", "mask"):
+    if kind == "foreign":
         ways += [lambda d: _number(d[:2048], chance) + d[2048:]] * 4
         ways += [lambda d: _flip(d[:1024], chance) + d[1024:]] * 2
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
         data = chance.choice(ways)(data)
-    # Hardly any changed PNG would be read with a wrong check sum.
-    return _summed(data) if data[:4] == b"\x89PNG" and chance.random() < 0.5 else data
-
-
-def _summed(data: bytes) -> bytes:
-    """A PNG with right check sums."""
-    mended, at = bytearray(data), 8
-    while at + 12 <= len(data):
-        (size,) = struct.unpack_from(">I", data, at)
-        end = at + 8 + size
-        if end + 4 > len(data):
-            break
-        struct.pack_into(">I", mended, end, zlib.crc32(data[at + 4 : end]))
-        at = end + 4
-    return bytes(mended)
+    return data
 
 
 def _flip(data: bytes, chance: random.Random) -> bytes:

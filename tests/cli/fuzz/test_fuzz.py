@@ -11,12 +11,28 @@ from matcap.errors import MatcapError
 from matcap.field.material import Material
 
 
-def test_no_spoilt_file_is_more_than_an_error_message(tmp_path):
-    tally, faults = fuzz(tmp_path, count=340, seed=11)
-    result = [f"{fault.number} ({fault.kind}): {fault.what}" for fault in faults]
-    assert not faults, "\n".join(result)
+def test_no_spoilt_file_is_more_than_an_error_message(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tally, faults = fuzz(tmp_path / "good", count=150, seed=11)
+    assert not faults, "\n".join(faults)
     # As long as some inputs are still good and most are not, the readers are looked at in depth.
-    assert tally["good"] > 20 and tally["refused"] > 100
+    assert tally["good"] > 10 and tally["refused"] > 50
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Bytes of an untrained material's file."""
+    path = tmp_path_factory.mktemp("small") / "a.matcap"
+    write_material(path)
+    return path.read_bytes()
+
+
+@pytest.fixture
+def path(tmp_path, small):
+    """That file."""
+    path = tmp_path / "a.matcap"
+    path.write_bytes(small)
+    return path
 
 
 def described(path, change):
@@ -43,17 +59,13 @@ def described(path, change):
         ("x" * 5000, "x" * 100),
     ],
 )
-def test_a_material_has_a_plain_name(tmp_path, name, plain):
-    path = tmp_path / "a.matcap"
-    write_material(path)
+def test_a_material_has_a_plain_name(path, name, plain):
     described(path, lambda about: about.update(name=name))
     assert Material.load(path).name == plain
 
 
-def test_a_hostile_file_cannot_claim_memory(tmp_path, monkeypatch):
+def test_a_hostile_file_cannot_claim_memory(path):
     """The widest decoder that single widths allow would take gigabytes: refused before any."""
-    path = tmp_path / "a.matcap"
-    write_material(path)
 
     def widen(about):
         about["decoder"].update(noise_channels=1024, widths=[1024] * 5, convolutions=[4, 4])
@@ -82,9 +94,7 @@ def test_a_hostile_file_cannot_claim_memory(tmp_path, monkeypatch):
         lambda about: about.update(setup=10**400),
     ],
 )
-def test_numbers_out_of_range_are_refused(tmp_path, change):
-    path = tmp_path / "a.matcap"
-    write_material(path)
+def test_numbers_out_of_range_are_refused(path, change):
     described(path, change)
     with pytest.raises(MatcapError, match="description is damaged"):
         Material.load(path)

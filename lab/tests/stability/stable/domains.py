@@ -56,7 +56,6 @@ _RELIGHTING: Mapping[str, Entry] = MappingProxyType(
         "parallax: the ray ends on the surface": Entry(relief.parallaxes, 0.05, "the relief"),
         "parallax: ridges passed through": Entry(relief.crossings, 0.02, "half a texel of path"),
         "shadows": Entry(relief.shadowed, 0.02, "a quarter of a cell's twist"),
-        "meshes": Entry(scenes.meshes, 0.03, "the value, or the mesh's size"),
         "whole scenes of any numbers": Entry(scenes.scenes, 0.1, ""),
         "metallic workflow": Entry(exporting.metallic, 0.05, "1"),
         "textures written and read": Entry(exporting.textures, 0.05, "half a step of the file"),
