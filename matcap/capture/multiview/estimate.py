@@ -34,12 +34,9 @@ from matcap.capture.multiview.mosaic import (
     Mosaic,
     extrapolated,
     mosaic_of,
-    predict_views,
-    scatter,
+    predicted_beyond,
     seen_by_any,
     spread_over,
-    unpredicted,
-    with_others,
 )
 from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
@@ -92,12 +89,13 @@ def estimate_multiview(
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
     spread = spread_over(single, mosaic.margins)
     alignment, interrupted = _aligned(by_features, single.maps, spread, clock)
-    first, camera = alignment.views[0].photo, PosedCamera.of(by_features.setup)
-    alone = _reframed(spread, camera, alignment, mosaic)
-    if mosaic.margins.any:
-        if not interrupted:
-            alone, interrupted = _fused(alignment, alone, coarse, network)
-        alone = alone.with_most_error(scatter(single))
+    first, cameras = (
+        alignment.views[0].photo,
+        (PosedCamera.of(by_features.setup), alignment.views[0].camera),
+    )
+    alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
+    if mosaic.margins.any and not interrupted:
+        alone, interrupted = _beyond(alignment, alone, mosaic, coarse, network)
     with clock.stage("solve"):
         alignment, prior, interrupted = with_basis(alignment, alone, interrupted=interrupted)
         alignment, resampled, solved = _solved(alignment, prior, clock)
@@ -197,24 +195,8 @@ def _aligned(
         return alignment, True
 
 
-def _reframed(
-    prediction: Estimate, predicted: PosedCamera, alignment: Aligned, mosaic: Mosaic
-) -> Estimate:
-    """The prediction, resampled to the plane of the registered camera.
-
-    Args:
-        prediction: the network's, over the exemplar's extent.
-        predicted: the first photograph's camera at the prediction.
-        alignment: has its registered camera.
-        mosaic: extent, beyond the first photograph without prediction.
-    """
-    cameras = predicted, alignment.views[0].camera
-    maps = reframed(prediction.maps, *cameras, mosaic.extent)
-    return Estimate(maps, unpredicted(prediction.log_error, mosaic))
-
-
-def _fused(
-    alignment: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse
+def _beyond(
+    alignment: Aligned, first: Estimate, mosaic: Mosaic, coarse: CoarseFit, network: Inverse
 ) -> tuple[Estimate, bool]:
     """Prediction of a mosaic from all photographs, or `first` and True if interrupted."""
 
@@ -222,10 +204,9 @@ def _fused(
         return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
     try:
-        predictions = predict_views(alignment, first, coarse, predict)
+        return predicted_beyond(alignment, first, mosaic, coarse, predict), False
     except KeyboardInterrupt:
         return first, True
-    return with_others(first, predictions), False
 
 
 def _solved(

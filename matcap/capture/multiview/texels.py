@@ -179,10 +179,6 @@ class Estimate:
         basis = None if self.basis is None else self.basis.resized(size)
         return Estimate(MapSet.from_stacked(maps, extent.texel(size[1])), log_error, basis)
 
-    def with_most_error(self, log_error: Tensor) -> Estimate:
-        """With logs of standard deviations of at most `log_error` (4,)."""
-        return replace(self, log_error=torch.minimum(self.log_error, log_error[:, None, None]))
-
 
 @dataclass(frozen=True)
 class ParameterPrior:
