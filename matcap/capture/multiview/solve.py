@@ -30,7 +30,6 @@ from matcap.capture.multiview.surface import (
     denoised,
     integrated,
     prediction_error,
-    surface_of,
     with_energies,
 )
 from matcap.capture.multiview.texels import (
@@ -197,7 +196,7 @@ def solve(
         interrupted = True
     views, light, parameters = iterate.views, iterate.light, iterate.parameters
     texel_size = prediction.maps.texel_size
-    height = surface_of(parameters[SLOPES], texel_size, iterate.step.relief)
+    height = integrated(parameters[SLOPES], texel_size, iterate.step.precision[SLOPES])
     if not interrupted:
         height = scaled_by_ratio(_denoised(height, iterate), views, parameters, light)
     parameters[SLOPES] = slopes_of(height, texel_size)
@@ -285,7 +284,7 @@ def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
         integrated(_without_slow(slopes, unit), texel_size)[0].numpy()
         for slopes in (iterate.prior.mean[SLOPES], *iterate.step.changes)
     )
-    result = denoised(height[0].numpy(), prediction, jackknife, keep_energy=True)
+    result = denoised(height[0].numpy(), prediction, jackknife)
     if len(views) == 2 and views[1].flash:
         result = with_energies(result, texel_size, iterate.slope_energies)
     if len(iterate.step.halves):

@@ -1,132 +1,49 @@
-"""Height from slopes by their precision, and Wiener estimates octave by octave."""
+"""Height from slopes, and Wiener estimates octave by octave."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import integrate, poisson
+from matcap.brdf.maps import integrate
 from matcap.capture.exemplar.relief_spectrum import BANDS, smoothed, split, split_all
 from matcap.capture.multiview.texels import slopes_of
-from matcap.flash.least_squares import conjugate_gradients
-
-# Height from slopes, weighted by their precision.
-
 
 Floats = NDArray[np.float32]
 
-# Settings of the integration of slopes to heights; docs/notes/several.md.
 _MODEL = 0.03  # standard deviation of slopes due to model errors: shadows, parallax, bend
-_STEPS = 4  # conjugate gradient steps; more restore shorter wavelengths, and their noise
-_EVEN = 4.0  # standard deviation of the smoothing of precision in the preconditioner, texels
-_LEAST_PRECISION = 1e-3  # least precision of a slope, as a share of the mean
 
 
-def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
-    """(1, H, W) height, plane units, whose central slopes are nearest to slopes (2, H, W).
-
-    Minimises the sum over texels of e^T P e, e being the slope error (2,), by conjugate gradients
-    with a Poisson preconditioner. Two photographs hardly measure slopes perpendicular to their
-    baseline; the other slope then determines them, as a gradient has no curl.
-
-    Args:
-        slopes: along x and y.
-        texel_size: in plane units.
-        precision: (3, H, W) elements xx, yy and xy of P.
-    """
-    height = integrated(slopes, texel_size, 2)
-    weight = _with_error(precision, _MODEL)
-    weight = weight / weight[:2].mean().clamp_min(1e-12)
-    weight[:2] += _LEAST_PRECISION
-    residual = (slopes - slopes_of(height, texel_size)).numpy()
-    return height + texel_size * torch.from_numpy(_nearest(residual, weight.numpy()))[None]
-
-
-def _with_error(precision: Tensor, deviation: float) -> Tensor:
-    """(3, H, W) precision of slopes with an independent error added: P (1 + deviation^2 P)^-1."""
-    xx, yy, xy = precision.double()
-    variance = deviation**2
-    a, b, c = 1.0 + variance * xx, 1.0 + variance * yy, variance * xy
-    det = (a * b - c * c).clamp_min(1e-12)
-    full = xx * yy - xy * xy
-    return torch.stack(
-        [(xx + variance * full) / det, (yy + variance * full) / det, xy / det]
-    ).float()
-
-
-def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
-    """(1, H, W) height nearest to slopes (2, H, W) of equal precision, plane units.
+def integrated(
+    slopes: Tensor, texel_size: float, precision: Tensor | None = None, rounds: int = 4
+) -> Tensor:
+    """(1, H, W) height nearest to slopes (2, H, W), plane units.
 
     By repeated Poisson integration of the residual slopes. A difference between neighbours is the
     mean of their slopes, so central differences of the height are smoother than the slopes; the
-    rounds restore the loss.
+    rounds restore the loss. With the slopes' precision P (2, H, W), residuals have the weight
+    P / (P + 1 / _MODEL^2): where one slope is not measured, the other determines it, as a gradient
+    has no curl.
     """
     height = torch.zeros(1, *slopes.shape[1:])
-    for _ in range(rounds):
-        residual = (slopes - slopes_of(height, texel_size)).numpy() * texel_size
-        across = 0.5 * (residual[0][:, 1:] + residual[0][:, :-1])
-        down = -0.5 * (residual[1][1:] + residual[1][:-1])
+    for turn in range(rounds):
+        residual = (slopes - slopes_of(height, texel_size)) * texel_size
+        if precision is not None and turn:
+            residual = residual * (precision / (precision + _MODEL**-2))
+        x, y = residual.numpy()
+        across, down = 0.5 * (x[:, 1:] + x[:, :-1]), -0.5 * (y[1:] + y[:-1])
         height = height + torch.from_numpy(integrate(across, down))[None]
     return height
-
-
-def _nearest(slopes: Floats, weight: Floats) -> Floats:
-    """(H, W) heights in texels, weighted least squares of (2, H, W) by weights (3, H, W)."""
-    return conjugate_gradients(
-        lambda heights: transposed(_weighted(texel_slopes(heights), weight)),
-        transposed(_weighted(slopes, weight)),
-        _STEPS,
-        preconditioned=_preconditioner(weight),
-    )
-
-
-def _preconditioner(weight: Floats) -> Callable[[Floats], Floats]:
-    """The inverse Laplacian, locally scaled by the smoothed weight (3, H, W)."""
-    shape = weight.shape[1:]
-    across, down = (float(np.mean(each)) for each in weight[:2])
-    local = cv2.GaussianBlur(weight[0] / across + weight[1] / down, (0, 0), _EVEN)
-    scale = np.asarray(1.0 / np.sqrt(0.5 * local), np.float32)
-
-    def preconditioned(residual: Floats) -> Floats:
-        even = np.pad(residual * scale, [(0, side % 2) for side in shape])
-        heights = poisson(even, across, down)[: shape[0], : shape[1]]
-        return np.asarray(-heights * scale, np.float32)
-
-    return preconditioned
-
-
-def _weighted(slopes: Floats, weight: Floats) -> Floats:
-    """P e of slopes e (2, H, W), with elements xx, yy and xy of P in `weight` (3, H, W)."""
-    x, y = slopes
-    return np.stack([weight[0] * x + weight[2] * y, weight[1] * y + weight[2] * x])
 
 
 def texel_slopes(height: Floats) -> Floats:
     """(2, H, W) central differences of (H, W) along columns and rows; y points up."""
     return np.asarray(slopes_of(torch.from_numpy(height)[None], 1.0).numpy(), np.float32)
-
-
-def transposed(slopes: Floats) -> Floats:
-    """(H, W) the transpose (adjoint) of texel_slopes applied to (2, H, W)."""
-    heights = np.zeros(slopes.shape[1:], np.float32)
-    x, y = slopes[0], -slopes[1]
-    heights[:, 2:] += 0.5 * x[:, 1:-1]
-    heights[:, :-2] -= 0.5 * x[:, 1:-1]
-    heights[2:] += 0.5 * y[1:-1]
-    heights[:-2] -= 0.5 * y[1:-1]
-    # One-sided differences at the borders.
-    for first, second, end in ((0, 1, 0), (-2, -1, -1)):
-        heights[:, second] += x[:, end]
-        heights[:, first] -= x[:, end]
-        heights[second] += y[end]
-        heights[first] -= y[end]
-    return heights
 
 
 # Wiener estimate of a map, octave by octave, from its measurement and the network's prediction.
@@ -162,10 +79,12 @@ class _Octave:
     error: np.float32
     """Symbols g and T of the module."""
 
-    def posterior(self, gain: np.float32) -> Floats:
-        """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""
+    @property
+    def posterior(self) -> Floats:
+        """(H, W) g m + sqrt(T / (T + nu)) (y - g m)."""
         kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
-        return gain * self.predicted + kept * (self.measured - self.gain * self.predicted)
+        predicted = self.gain * self.predicted
+        return predicted + kept * (self.measured - predicted)
 
     @property
     def energy(self) -> float:
@@ -175,30 +94,16 @@ class _Octave:
         share = predicted**2 / (predicted**2 + noise**2 + _LEAST_VARIANCE**2)
         return share * measured + (1.0 - share) * predicted
 
-    def gain_by_energy(self) -> np.float32:
-        """Gain of the network's prediction at which the octave has its expected energy."""
-        predicted = max(float(np.square(self.predicted).mean()), _LEAST_VARIANCE)
-        more = (self.energy - float(self.error)) / predicted
-        return np.float32(max(abs(float(self.gain)), np.sqrt(max(more, 0.0))))
 
-
-def denoised(
-    measured: Floats,
-    predicted: Floats,
-    changes: Sequence[Floats] | Floats,
-    *,
-    keep_energy: bool = False,
-) -> Floats:
+def denoised(measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats) -> Floats:
     """(H, W) denoised map, each octave with its expected energy.
 
     Args:
         measured: (H, W) estimate from all photographs.
         predicted: (H, W) the network's prediction.
         changes: (H, W) each, change of `measured` when one photograph is left out.
-        keep_energy: use _Octave.gain_by_energy, not g, so that energy hidden by noise is kept.
     """
-    octaves = _octaves(measured, predicted, changes)
-    bands = [o.posterior(o.gain_by_energy() if keep_energy else o.gain) for o in octaves]
+    bands = [octave.posterior for octave in _octaves(measured, predicted, changes)]
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
