@@ -187,7 +187,8 @@ def _aligned(
     alignment = by_features
     try:
         with clock.stage("align"):
-            views = without_ambient(on_albedo(alignment.views, alignment.setup, own))
+            cameras = PosedCamera.of(alignment.setup), alignment.views[0].camera
+            views = without_ambient(on_albedo(alignment.views, reframed(own, *cameras)))
             alignment = replace(alignment, views=views)
             on_progress = clock.callback("align")
             return aligned(alignment, prediction, on_progress=on_progress), False

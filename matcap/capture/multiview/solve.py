@@ -30,6 +30,7 @@ from matcap.capture.multiview.surface import (
     denoised,
     integrated,
     prediction_error,
+    surface_of,
     with_energies,
 )
 from matcap.capture.multiview.texels import (
@@ -196,7 +197,7 @@ def solve(
         interrupted = True
     views, light, parameters = iterate.views, iterate.light, iterate.parameters
     texel_size = prediction.maps.texel_size
-    height = integrated(parameters[SLOPES], texel_size, iterate.step.precision[SLOPES])
+    height = surface_of(parameters[SLOPES], texel_size, iterate.step.relief)
     if not interrupted:
         height = scaled_by_ratio(_denoised(height, iterate), views, parameters, light)
     parameters[SLOPES] = slopes_of(height, texel_size)

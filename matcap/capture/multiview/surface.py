@@ -1,41 +1,95 @@
-"""Height from slopes, and Wiener estimates octave by octave."""
+"""Height from slopes by their precision, and Wiener estimates octave by octave."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import integrate
+from matcap.brdf.maps import integrate, poisson
 from matcap.capture.exemplar.relief_spectrum import BANDS, smoothed, split, split_all
 from matcap.capture.multiview.texels import slopes_of
+from matcap.flash.least_squares import conjugate_gradients
 
 Floats = NDArray[np.float32]
 
+# Settings of the integration of slopes to heights; docs/notes/several.md.
 _MODEL = 0.03  # standard deviation of slopes due to model errors: shadows, parallax, bend
+_STEPS = 4  # conjugate gradient steps; more restore shorter wavelengths, and their noise
+_EVEN = 4.0  # standard deviation of the smoothing of precision in the preconditioner, texels
+_LEAST_PRECISION = 1e-3  # least precision of a slope, as a share of the mean
 
 
-def integrated(
-    slopes: Tensor, texel_size: float, precision: Tensor | None = None, rounds: int = 4
-) -> Tensor:
-    """(1, H, W) height nearest to slopes (2, H, W), plane units.
+def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
+    """(1, H, W) height, plane units, whose central slopes are nearest to slopes (2, H, W).
+
+    Minimises the sum over texels of e^T P e, e being the slope error (2,), by conjugate gradients
+    with a Poisson preconditioner. Two photographs hardly measure slopes perpendicular to their
+    baseline; the other slope then determines them, as a gradient has no curl.
+
+    Args:
+        slopes: along x and y.
+        texel_size: in plane units.
+        precision: (3, H, W) elements xx, yy and xy of P, to which _MODEL adds an independent error.
+    """
+    xx, yy, xy = precision * _MODEL**2
+    determinant = xx * yy - xy * xy
+    weight = torch.stack([xx + determinant, yy + determinant, xy])
+    weight /= (1.0 + xx + yy + determinant).clamp_min(1e-12)
+    weight /= weight[:2].mean().clamp_min(1e-12)
+    weight[:2] += _LEAST_PRECISION
+
+    def weighted(error: Tensor) -> Tensor:
+        x, y = error
+        return torch.stack([weight[0] * x + weight[2] * y, weight[1] * y + weight[2] * x])
+
+    def gradient(of: Callable[[Tensor], Tensor], heights: Floats) -> Floats:
+        """The transpose of the differences, applied to `of` the slopes of heights in texels."""
+        found, transposed = torch.func.vjp(
+            lambda h: slopes_of(h[None], 1.0), torch.from_numpy(heights)
+        )
+        return np.asarray(transposed(of(found))[0].numpy(), np.float32)
+
+    height = integrated(slopes, texel_size, 2)
+    begun = (height[0] / texel_size).numpy()
+    change = conjugate_gradients(
+        lambda heights: gradient(weighted, heights),
+        gradient(lambda found: weighted(slopes - found), begun),
+        _STEPS,
+        preconditioned=_preconditioner(weight[:2].numpy()),
+    )
+    return height + texel_size * torch.from_numpy(change)[None]
+
+
+def _preconditioner(weight: Floats) -> Callable[[Floats], Floats]:
+    """The inverse Laplacian, locally scaled by the smoothed weight (2, H, W)."""
+    shape, (across, down) = weight.shape[1:], weight.mean((1, 2)).tolist()
+    local = cv2.GaussianBlur(weight[0] / across + weight[1] / down, (0, 0), _EVEN)
+    scale = np.asarray(1.0 / np.sqrt(0.5 * local), np.float32)
+
+    def preconditioned(residual: Floats) -> Floats:
+        even = np.pad(residual * scale, [(0, side % 2) for side in shape])
+        heights = poisson(even, across, down)[: shape[0], : shape[1]]
+        return np.asarray(-heights * scale, np.float32)
+
+    return preconditioned
+
+
+def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
+    """(1, H, W) height nearest to slopes (2, H, W) of equal precision, plane units.
 
     By repeated Poisson integration of the residual slopes. A difference between neighbours is the
     mean of their slopes, so central differences of the height are smoother than the slopes; the
-    rounds restore the loss. With the slopes' precision P (2, H, W), residuals have the weight
-    P / (P + 1 / _MODEL^2): where one slope is not measured, the other determines it, as a gradient
-    has no curl.
+    rounds restore the loss.
     """
     height = torch.zeros(1, *slopes.shape[1:])
-    for turn in range(rounds):
-        residual = (slopes - slopes_of(height, texel_size)) * texel_size
-        if precision is not None and turn:
-            residual = residual * (precision / (precision + _MODEL**-2))
-        x, y = residual.numpy()
+    for _ in range(rounds):
+        x, y = ((slopes - slopes_of(height, texel_size)) * texel_size).numpy()
         across, down = 0.5 * (x[:, 1:] + x[:, :-1]), -0.5 * (y[1:] + y[:-1])
         height = height + torch.from_numpy(integrate(across, down))[None]
     return height

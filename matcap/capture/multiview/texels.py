@@ -75,6 +75,9 @@ class Stepped:
     """(PARAMETERS or more, H, W)."""
     precision: Tensor
     """(PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded."""
+    relief: Tensor
+    """(3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
+    eliminated; 0 if they do not move."""
     changes: Tensor
     """(photographs, some parameters, H, W) change when each photograph is left out: the jackknife
     [efron1982]. Empty unless requested."""
@@ -84,9 +87,10 @@ class Stepped:
 
     @staticmethod
     def none(parameters: Tensor) -> Stepped:
-        """Before any step: precision 0."""
-        empty = parameters.new_zeros(0)
-        return Stepped(parameters, torch.zeros_like(parameters[:PARAMETERS]), empty, empty)
+        """Before any step: precision 0, relief that of independent unit slopes."""
+        empty, one = parameters.new_zeros(0), torch.ones_like(parameters[:1])
+        relief = torch.cat([one, one, 0.0 * one])
+        return Stepped(parameters, 0.0 * parameters[:PARAMETERS], relief, empty, empty)
 
 
 @dataclass(frozen=True)
@@ -367,7 +371,7 @@ def stepped(
         changed: parameters whose changes without each photograph are computed; None for none.
     """
     moved, precision = parameters.clone(), torch.zeros_like(parameters[:PARAMETERS])
-    shape = parameters[changed or slice(0)].shape
+    relief, shape = torch.zeros(3, *parameters.shape[1:]), parameters[changed or slice(0)].shape
     changes = torch.zeros(len(views) if changed else 0, *shape)
     places = [view.camera.place[:2] for view in views]
     # Halves are of slopes alone: albedo's octaves have no use for them.
@@ -379,14 +383,19 @@ def stepped(
         of_each = _normal_equations(views, rows, parameters[:, rows], light, slopes=slopes)
         whole = sum(of_each[1:], of_each[0])
         current = parameters[part], prior.mean[part], prior.deviation[part]
-        moved[part], precision[part] = solved(whole, *current)
+        moved[part], precision[part], factor = solved(whole, *current)
+        if slopes:
+            # L L^T, L being the block of slopes of the Cholesky factor, as they are last.
+            (xx, _), (yx, yy) = factor[SLOPES, SLOPES]
+            block = torch.stack([xx.square(), yx.square() + yy.square(), xx * yx])
+            relief[:, rows] = block.nan_to_num(0.0).reshape(relief[:, rows].shape)
         for change, own in zip(changes, of_each, strict=bool(changed)):
             change[:, rows] = (solved(whole - own, *current)[0] - moved[part])[changed]
         wide = *current[:2], _HALF_PRIOR * current[2]
         for half, some in zip(halves, parts, strict=True):
             part_of = sum((of_each[n] for n in some[1:]), of_each[some[0]])
             half[:, rows] = solved(part_of, *wide)[0][changed]
-    return Stepped(limited(moved), precision, changes, halves)
+    return Stepped(limited(moved), precision, relief, changes, halves)
 
 
 def halves_of(places: Sequence[NDArray[np.float64]]) -> tuple[tuple[int, ...], ...]:
@@ -440,8 +449,9 @@ def normal_equations(residual: Tensor, weight: Tensor, share: Tensor, by_others:
 
 def solved(
     system: Tensor, parameters: Tensor, mean: Tensor, deviation: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Parameters after a damped step with a Gaussian prior, and their precision, prior excluded.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Parameters after a damped step with a Gaussian prior; their precision, prior excluded; and
+    the Cholesky factor (n + 1, n, N) of the equations.
 
     Args:
         system: normal_equations.
@@ -452,7 +462,7 @@ def solved(
     system.diagonal().T.add_(precision + _DAMPING * measured)
     system[-1] += precision * (mean - parameters).flatten(1)
     step = solved_in_place(system)[:, 0].nan_to_num(0.0).clamp(-0.7, 0.7)
-    return parameters + step.reshape(shape), measured.reshape(shape)
+    return parameters + step.reshape(shape), measured.reshape(shape), system
 
 
 def _normal_equations(

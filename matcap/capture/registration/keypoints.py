@@ -288,7 +288,7 @@ def _texture(
 ) -> tuple[ChannelPlane, NDArray[np.bool_]]:
     """(down, _COMPARED) high-passed log radiance over its local contrast on the plane, its mask."""
     size = (_COMPARED, down)
-    log, inside = _log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
+    log, inside = log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
     fine = _band(log, 1.0, 6.0)
     contrast = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
     return (fine / contrast).astype(np.float32), inside
@@ -313,7 +313,7 @@ def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.fl
     """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
     down = round(_ACROSS * first.pixels.shape[0] / first.pixels.shape[1])
     wide = min(photo.pixels.shape[1], _ACROSS)
-    log, inside = _log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
+    log, inside = log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
     bands = (np.square(_band(log, *deviations)) for deviations in (_FINE, _LONG))
     tiles = (_TILES, max(2, round(_TILES * down / _ACROSS)))
     fine, long, seen = (
@@ -329,7 +329,7 @@ def _band(plane: ChannelPlane, fine: float, coarse: float) -> ChannelPlane:
     return np.asarray(near - far, np.float32)
 
 
-def _log_on_grid(
+def log_on_grid(
     photo: Photo, camera: PosedCamera, size: tuple[int, int], wide: int, darkest: float, how: int
 ) -> tuple[ChannelPlane, NDArray[np.bool_]]:
     """(down, across) each: log radiance of a photograph on the plane's grid, and where it is seen.
