@@ -8,8 +8,10 @@ mosaic (mosaic.py) also needs predictions of the others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -56,6 +58,8 @@ from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
+Result = TypeVar("Result")
+
 # Steps per texel in each round, on a grid that starts from the solution of one half as fine.
 _FINER: tuple[int, ...] = (1,)
 _COARSE = 320  # texels across the grid that starts from the network's prediction
@@ -87,27 +91,32 @@ def estimate_multiview(
     single, spectrum, metal = predict_alone(plane, coarse, network, clock)
     mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
-    spread = spread_over(single, mosaic.margins)
-    alignment, interrupted = _aligned(by_features, single.maps, spread, clock)
-    first, cameras = (
-        alignment.views[0].photo,
-        (PosedCamera.of(by_features.setup), alignment.views[0].camera),
-    )
+    spread, predicted = spread_over(single, mosaic.margins), PosedCamera.of(by_features.setup)
+    with clock.stage("align"):
+        alignment, done = _unless_interrupted(
+            by_features, lambda: _aligned(by_features, single.maps, spread, clock)
+        )
+    cameras = predicted, alignment.views[0].camera
     alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
-    if mosaic.margins.any and not interrupted:
-        alone, interrupted = _beyond(alignment, alone, mosaic, coarse, network)
+    if mosaic.margins.any and done:
+        extended = partial(predicted_beyond, alignment, alone, mosaic, coarse)
+        predict = partial(_predict_anew, network)
+        alone, done = _unless_interrupted(alone, lambda: extended(predict))
+    prior = alone
     with clock.stage("solve"):
-        alignment, prior, interrupted = with_basis(alignment, alone, interrupted=interrupted)
+        if done:
+            basis = partial(with_basis, alignment, alone)
+            (alignment, prior), done = _unless_interrupted((alignment, alone), basis)
         alignment, resampled, solved = _solved(alignment, prior, clock)
-    interrupted |= solved.interrupted
+    done &= not solved.interrupted
     camera_only = replace(coarse, setup=alignment.setup)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("predict"):
         several = prior, alone, by_features.light
-        unknown = LeaveOneOut((), ())
-        checked = unknown if interrupted else leave_one_out(alignment, solved, *several)
+        checked = leave_one_out(alignment, solved, *several) if done else LeaveOneOut((), ())
         if checked.kept_first is not None and not mosaic.margins.any:
             solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only
+    first = alignment.views[0].photo
     rectified = replace(Rectified.of(first, camera_only, detail), coarse=lit)
     with clock.stage("inpaint"):
         mosaic, plane, maps = _whole(rectified.whole, alignment, mosaic, solved.maps)
@@ -118,10 +127,16 @@ def estimate_multiview(
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
     result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], 0.0)
-    result = replace(
-        result, interrupted=interrupted, several=report, scale=scale, turned=first.turned
-    )
+    result = replace(result, interrupted=not done, several=report, scale=scale, turned=first.turned)
     return rectified, result.with_sharpness(rectified)
+
+
+def _unless_interrupted(otherwise: Result, compute: Callable[[], Result]) -> tuple[Result, bool]:
+    """What is computed, and True; `otherwise` and False after Ctrl-C."""
+    try:
+        return compute(), True
+    except KeyboardInterrupt:
+        return otherwise, False
 
 
 def registered(
@@ -175,39 +190,19 @@ def predict_alone(
 
 def _aligned(
     by_features: Aligned, own: MapSet, prediction: Estimate, clock: CaptureClock
-) -> tuple[Aligned, bool]:
-    """Register photographs by rendering; (the registration, whether it was interrupted).
+) -> Aligned:
+    """Register photographs by rendering, after the one without flash is subtracted.
 
-    Args:
-        by_features: the registration by features.
-        own: predicted maps of the first photograph's rectangle.
-        prediction: the network's, over the exemplar's extent.
-        clock: of the stages.
+    `own` are predicted maps of the first photograph's rectangle, `prediction` covers the extent.
     """
-    alignment = by_features
-    try:
-        with clock.stage("align"):
-            cameras = PosedCamera.of(alignment.setup), alignment.views[0].camera
-            views = without_ambient(on_albedo(alignment.views, reframed(own, *cameras)))
-            alignment = replace(alignment, views=views)
-            on_progress = clock.callback("align")
-            return aligned(alignment, prediction, on_progress=on_progress), False
-    except KeyboardInterrupt:
-        return alignment, True
+    cameras = PosedCamera.of(by_features.setup), by_features.views[0].camera
+    views = without_ambient(on_albedo(by_features.views, reframed(own, *cameras)))
+    return aligned(replace(by_features, views=views), prediction, clock.callback("align"))
 
 
-def _beyond(
-    alignment: Aligned, first: Estimate, mosaic: Mosaic, coarse: CoarseFit, network: Inverse
-) -> tuple[Estimate, bool]:
-    """Prediction of a mosaic from all photographs, or `first` and True if interrupted."""
-
-    def predict(plane: Plane, fit: CoarseFit) -> Estimate:
-        return predict_alone(plane, fit, network, CaptureClock(None))[0]
-
-    try:
-        return predicted_beyond(alignment, first, mosaic, coarse, predict), False
-    except KeyboardInterrupt:
-        return first, True
+def _predict_anew(network: Inverse, plane: Plane, fit: CoarseFit) -> Estimate:
+    """Prediction of another photograph of a mosaic."""
+    return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
 
 def _solved(

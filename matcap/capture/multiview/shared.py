@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import F0
+from matcap.brdf.cook_torrance import ALBEDO, F0
 from matcap.capture.multiview.texels import (
     GLOSS,
     HUES,
@@ -120,7 +120,7 @@ def shared_step(
     start = _SharedParameters.of(light, moving=bool(moved))
     some_prior = prior.at(chosen)
     if sum(view.flash for view in views) > 2:
-        some_prior = some_prior.with_least_albedo(_ALBEDO_DEVIATION)
+        some_prior = some_prior.with_least(ALBEDO, _ALBEDO_DEVIATION)
     problem = _SharedFit.of(views, chosen, some_prior, light, start)
     values = start.vector()
     deviations = _deviations(views, light, start, prior, moved).vector()

@@ -220,16 +220,10 @@ class ParameterPrior:
         """With SharedLight.gloss added to the means of log F0, logit roughness and tint."""
         return replace(self, mean=with_gloss(self.mean, self.shares, light.gloss))
 
-    def with_least_slope(self, slope: float) -> ParameterPrior:
-        """With standard deviations of slopes of at least `slope`."""
+    def with_least(self, part: slice, least: float) -> ParameterPrior:
+        """With standard deviations of some parameters of at least `least`."""
         deviation = self.deviation.clone()
-        deviation[SLOPES] = deviation[SLOPES].clamp_min(slope)
-        return replace(self, deviation=deviation)
-
-    def with_least_albedo(self, albedo: float) -> ParameterPrior:
-        """With standard deviations of log albedo of at least `albedo`."""
-        deviation = self.deviation.clone()
-        deviation[ALBEDO] = deviation[ALBEDO].clamp_min(albedo)
+        deviation[part] = deviation[part].clamp_min(least)
         return replace(self, deviation=deviation)
 
 
