@@ -91,12 +91,12 @@ def estimate_multiview(
     single, spectrum, metal = predict_alone(plane, coarse, network, clock)
     mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
-    spread, predicted = spread_over(single, mosaic.margins), PosedCamera.of(by_features.setup)
+    spread = spread_over(single, mosaic.margins)
     with clock.stage("align"):
         alignment, done = _unless_interrupted(
             by_features, lambda: _aligned(by_features, single.maps, spread, clock)
         )
-    cameras = predicted, alignment.views[0].camera
+    cameras = PosedCamera.of(by_features.setup), alignment.views[0].camera
     alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
     if mosaic.margins.any and done:
         extended = partial(predicted_beyond, alignment, alone, mosaic, coarse)
@@ -112,8 +112,8 @@ def estimate_multiview(
     camera_only = replace(coarse, setup=alignment.setup)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("predict"):
-        several = prior, alone, by_features.light
-        checked = leave_one_out(alignment, solved, *several) if done else LeaveOneOut((), ())
+        check = partial(leave_one_out, alignment, solved, prior, alone, by_features.light)
+        checked = check() if done else LeaveOneOut((), ())
         if checked.kept_first is not None and not mosaic.margins.any:
             solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only
     first = alignment.views[0].photo

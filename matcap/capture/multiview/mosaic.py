@@ -269,7 +269,8 @@ def predicted_beyond(
         predict: predicts the maps of one photograph on its own plane.
     """
     texel_size, parameters = first.maps.texel_size, parameters_of(first.maps)
-    others, errors, total = torch.zeros_like(parameters), torch.zeros_like(first.log_error), 0.0
+    others, errors = torch.zeros_like(parameters), torch.zeros_like(first.log_error)
+    total = torch.zeros(parameters.shape[1:])
     for number, view in enumerate(alignment.views[1:], 1):
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST_PREDICTED:
             own = own_plane(view.camera, alignment.light, number)
@@ -279,9 +280,8 @@ def predicted_beyond(
             count = max(len(others), len(over))
             others = with_channels(others, count) + weight * with_channels(over, count)
             errors, total = errors + weight * error, total + weight
-    total = torch.as_tensor(total)
     inside = mosaic.margins.own(mosaic.size).numpy().astype(np.uint8)
-    within = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
+    within = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, 3), np.float32)
     share = (1.0 - torch.from_numpy(_faded(within, mosaic.size[0]))) * total.clamp_max(1.0)
     total = total.clamp_min(1e-6)
     parameters = torch.lerp(with_channels(parameters, len(others)), others / total, share)

@@ -285,7 +285,8 @@ def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
     if len(views) == 2 and views[1].flash:
         result = with_energies(result, texel_size, iterate.slope_energies)
     if len(iterate.step.halves):
-        energies = cross_energies(*heights(iterate.step.halves), texel_size)
+        one, other = heights(iterate.step.halves)
+        energies = cross_energies(one, other, texel_size)
         result = with_energies(result, texel_size, energies)
     return torch.from_numpy(result)[None]
 

@@ -50,9 +50,8 @@ def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
 
     def gradient(of: Callable[[Tensor], Tensor], heights: Floats) -> Floats:
         """The transpose of the differences, applied to `of` the slopes of heights in texels."""
-        found, transposed = torch.func.vjp(
-            lambda h: slopes_of(h[None], 1.0), torch.from_numpy(heights)
-        )
+        differences = torch.func.vjp(lambda h: slopes_of(h[None], 1.0), torch.from_numpy(heights))
+        found, transposed = differences[:2]
         return np.asarray(transposed(of(found))[0].numpy(), np.float32)
 
     height = integrated(slopes, texel_size, 2)
