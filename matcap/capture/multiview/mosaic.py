@@ -282,7 +282,8 @@ def predicted_beyond(
             errors, total = errors + weight * error, total + weight
     inside = mosaic.margins.own(mosaic.size).numpy().astype(np.uint8)
     within = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, 3), np.float32)
-    share = (1.0 - torch.from_numpy(_faded(within, mosaic.size[0]))) * total.clamp_max(1.0)
+    # Where nothing is predicted, at the outermost borders, the extrapolated first one is left.
+    share = (1.0 - torch.from_numpy(_faded(within, mosaic.size[0]))) * (8.0 * total).clamp_max(1.0)
     total = total.clamp_min(1e-6)
     parameters = torch.lerp(with_channels(parameters, len(others)), others / total, share)
     height = integrated(parameters[SLOPES], texel_size)
