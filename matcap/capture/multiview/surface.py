@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -119,33 +119,15 @@ _LEAST_VARIANCE = 1e-12  # lower limit of variances
 _SCALED = 0.6, 1.5  # limits of the factor of an octave that is brought to its expected energy
 
 
-@dataclass(frozen=True)
-class _Octave:
-    """An octave band of a map, in the module's symbols."""
+class _Octave(NamedTuple):
+    """What an octave band of a map turns out to be, in the symbols above."""
 
-    measured: Floats
-    predicted: Floats
-    """(H, W) y and m."""
-    noise: Floats
-    """(H, W) nu."""
-    gain: np.float32
-    error: np.float32
-    """Symbols g and T of the module."""
-
-    @property
-    def posterior(self) -> Floats:
-        """(H, W) g m + sqrt(T / (T + nu)) (y - g m)."""
-        kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
-        predicted = self.gain * self.predicted
-        return predicted + kept * (self.measured - predicted)
-
-    @property
-    def energy(self) -> float:
-        """Mean of the measured and the predicted energy, by their uncertainties."""
-        predicted, noise = float(np.square(self.predicted).mean()), float(self.noise.mean())
-        measured = float(self.gain) ** 2 * predicted + float(self.error)
-        share = predicted**2 / (predicted**2 + noise**2 + _LEAST_VARIANCE**2)
-        return share * measured + (1.0 - share) * predicted
+    posterior: Floats
+    """(H, W) g m + sqrt(T / (T + nu)) (y - g m)."""
+    error: float
+    """Error variance of the prediction, T + max(g - 1, 0)^2 E[m^2]."""
+    energy: float
+    """Mean of the measured energy g^2 E[m^2] + T and the predicted, by their uncertainties."""
 
 
 def denoised(measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats) -> Floats:
@@ -165,17 +147,13 @@ def prediction_error(
 ) -> tuple[float, NDArray[np.float64]]:
     """Error variance of the prediction, and expected energies of the octaves above 4 texels.
 
-    The former is the sum over octaves of T + max(g - 1, 0)^2 E[m^2]. Arguments as of denoised.
+    Arguments as of denoised.
     """
     octaves = list(_octaves(measured, predicted, changes))
-    more = (
-        max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.predicted).mean()) for o in octaves
-    )
-    error = sum(float(o.error) for o in octaves) + sum(more)
-    energies = [
-        o.energy for o, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
+    long = [
+        octave for octave, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
     ]
-    return error, np.array(energies)
+    return sum(octave.error for octave in octaves), np.array([octave.energy for octave in long])
 
 
 def cross_energies(one: Floats, other: Floats, texel_size: float) -> list[float]:
@@ -203,19 +181,26 @@ def _octaves(
 ) -> Iterator[_Octave]:
     """Octave bands of both maps and the low-pass remainder, with estimates of g and T."""
     # (n - 1) / n of the jackknife, but not 0 for one photograph
-    share = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
+    jackknife = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
     waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
     bands = split_all([measured, predicted, *changes], _OCTAVES)
     for wave, (y, m, *changed) in zip(waves, bands, strict=True):
         noise = np.full_like(measured, _LEAST_VARIANCE)
         for change in changed:
-            noise += share * np.square(change)
+            noise += jackknife * np.square(change)
         noise = smoothed(noise, _AROUND * wave)
         weight = 1.0 / noise
         # g has the prior 1 +- 1, and is never negative.
         few = float((weight * noise).mean()) / (y.size / wave**2)
         without_first = float((weight * (y + changed[0]) * m).mean())
         gain = max(without_first + few, 0.0) / (float((weight * m * m).mean()) + few)
-        left = np.square(y - np.float32(gain) * m) - noise
-        error = max(float((weight * left).sum() / weight.sum()), _LEAST_VARIANCE)
-        yield _Octave(y, m, noise, np.float32(gain), np.float32(error))
+        left = y - np.float32(gain) * m
+        error = max(float((weight * (left * left - noise)).sum() / weight.sum()), _LEAST_VARIANCE)
+        kept = np.sqrt(np.float32(error) / (np.float32(error) + noise))
+        strong, uncertain = float(np.square(m).mean()), float(noise.mean())
+        share = strong**2 / (strong**2 + uncertain**2 + _LEAST_VARIANCE**2)
+        yield _Octave(
+            np.float32(gain) * m + kept * left,
+            error + max(gain - 1.0, 0.0) ** 2 * strong,
+            share * (gain**2 * strong + error) + (1.0 - share) * strong,
+        )

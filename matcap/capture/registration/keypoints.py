@@ -259,28 +259,34 @@ _FINE = (0.7, 1.4)  # standard deviations of the two Gaussians of the finest ban
 _LONG = (2.8, 5.6)  # standard deviations of the two Gaussians of the longer band, texels
 
 
-def texture_correlation(
-    first: Photo, first_camera: PosedCamera, second: Photo, second_camera: PosedCamera
-) -> float:
-    """Correlation of the fine texture of two registered photographs over their overlap.
+def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[float]:
+    """Correlation of the fine texture of each photograph but the first with it, over their overlap.
 
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
-    """
-    down = round(_COMPARED * first.pixels.shape[0] / first.pixels.shape[1])
-    texture, inside = _texture(first, first_camera, down)
-    other, other_inside = _texture(second, second_camera, down)
-    both = inside & other_inside
-    if both.mean() < 0.05:
-        return -1.0
 
-    def correlation(x: int, y: int) -> float:
+    Args:
+        seen: photographs with their cameras.
+    """
+    rows, columns = seen[0][0].pixels.shape[:2]
+    (texture, inside), *others = (
+        _texture(*each, round(_COMPARED * rows / columns)) for each in seen
+    )
+
+    def correlation(other: ChannelPlane, both: NDArray[np.bool_], x: int, y: int) -> float:
         a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
         return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
 
-    far = _SHIFTED
-    shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
-    aligned = correlation(0, 0)
-    return aligned if aligned > shifted else -1.0
+    found, far = [], _SHIFTED
+    for other, other_inside in others:
+        both = inside & other_inside
+        if both.mean() < 0.05:
+            found.append(-1.0)
+            continue
+        shifts = ((far, 0), (-far, 0), (0, far), (0, -far))
+        shifted = max(correlation(other, both, x, y) for x, y in shifts)
+        aligned = correlation(other, both, 0, 0)
+        found.append(aligned if aligned > shifted else -1.0)
+    return found
 
 
 def _texture(
