@@ -23,7 +23,13 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.surface import integrated
-from matcap.capture.multiview.texels import SLOPES, Estimate, ParameterPrior, stepped, under_sky
+from matcap.capture.multiview.texels import (
+    SLOPES,
+    Estimate,
+    ParameterPrior,
+    stepped,
+    under_fitted_ambient,
+)
 from matcap.capture.multiview.views import ResampledView, SharedLight, ViewWarp
 from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import (
@@ -125,7 +131,7 @@ def aligned(
         for turn in range(rounds):
             if turn:
                 views = alignment.on_grid(*size)
-            lit = under_sky(views, parameters)
+            lit = under_fitted_ambient(views, parameters, alignment.light)
             light, moves = shared_step(lit, parameters, prior, alignment.light, moved=uncertain)
             both = zip(alignment.homographies, moves, strict=True)
             homographies = tuple(homography @ move for homography, move in both)
@@ -198,9 +204,9 @@ def _initial(
         parameters = F.interpolate(coarser[None], size=prior.mean.shape[1:], mode="bilinear")[0]
     else:
         parameters = prior.mean
-        lit = under_sky(views, parameters)
+        lit = under_fitted_ambient(views, parameters, light)
         light, _ = shared_step(lit, parameters, prior, light)
-    lit, prior = under_sky(views, parameters), prior.with_gloss_of(light)
+    lit, prior = under_fitted_ambient(views, parameters, light), prior.with_gloss_of(light)
     for _ in range(steps):
         parameters = stepped(lit, parameters, prior, light).parameters
     return parameters

@@ -30,6 +30,9 @@ Views = tuple[RegisteredView, ...]  # at most one without flash, the last
 AMBIENT_NOISE = 0.05  # standard deviation of log radiance from the model of ambient light
 # Standard deviation of the low-pass that separates illumination, as a share of the long side.
 SLOW = 0.08
+UNIFORM_SKY = (0.0, 0.0, 0.5)  # prior mean of AmbientLight.gradient
+GRADIENT_DEVIATION = 0.25  # prior standard deviation of its x and y
+_DARKEST = 0.05  # least irradiance of any normal, over that of a level surface
 _FAINTEST = 0.05  # least share of a pixel's radiance that remains after subtraction
 _BOUND = 0.005  # share of pixels that may be darker than under ambient light alone
 
@@ -52,23 +55,31 @@ class AmbientIncidence(Incident):
 
 @dataclass(frozen=True)
 class AmbientLight:
-    """A uniform sky, E(n) = strength (1 + n_z) / 2."""
+    """Ambient light: irradiance as spherical harmonics of first order [ramamoorthi2001].
 
+    E(n) = strength (1 + x n_x + y n_y + z (n_z - 1)), relative to a level surface, n = (0, 0, 1).
+    """
+
+    gradient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
+    """(3,) x, y and z; (0, 0, 0.5) under a uniform sky."""
     strength: Tensor = field(default_factory=lambda: torch.ones(1, 1, 1))
     """(1 or 3, 1, 1) irradiance of a level surface."""
 
     def onto(self, normal: Tensor) -> AmbientIncidence:
         """Irradiance of a relief with unit normals (3, h, w)."""
-        return AmbientIncidence((0.5 + 0.5 * normal[2:]) * self.strength)
+        change = torch.cat([normal[:2], normal[2:] - 1.0])
+        irradiance = 1.0 + torch.tensordot(self.gradient.to(change), change, 1)[None]
+        return AmbientIncidence(irradiance.clamp_min(_DARKEST) * self.strength)
 
     def log_gradient(
         self, normal: Tensor, specular: Tensor, roughness: Tensor
     ) -> tuple[AmbientIncidence, Tensor, Tensor]:
         """As DifferentiableLight.log_gradient; of the lobe, only F0 changes the radiance."""
+        lit, gradient = self.onto(normal), self.gradient.to(normal)[:, None, None]
+        level = lit.irradiance[:1] / self.strength[:1]
         lobe = torch.zeros_like(normal[:1]).repeat(4, 1, 1)
         lobe[0] = 1.0
-        up = normal.new_tensor([0.0, 0.0, 1.0])[:, None, None]
-        return self.onto(normal), lobe, by_slopes(normal, up) / (1.0 + normal[2:])
+        return lit, lobe, by_slopes(normal, gradient) / level
 
 
 def evenly_lit(log: Tensor, seen: Tensor, rendered: Tensor) -> Tensor:

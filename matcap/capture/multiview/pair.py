@@ -37,7 +37,7 @@ from matcap.capture.exemplar.relief_spectrum import (
 from matcap.capture.multiview.ambient_light import Views
 from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
-from matcap.capture.registration.camera import camera_of, grid_points, transformed
+from matcap.capture.registration.camera import Doubles, camera_of, grid_points, transformed
 from matcap.capture.registration.keypoints import log_on_grid
 
 Floats = NDArray[np.float32]

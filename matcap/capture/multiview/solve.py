@@ -46,7 +46,7 @@ from matcap.capture.multiview.texels import (
     points_of,
     slopes_of,
     stepped,
-    under_sky,
+    under_fitted_ambient,
     with_gloss,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
@@ -143,7 +143,7 @@ class _Iterate:
             sampled: texels to which the shared parameters are fitted.
         """
         parameters, widened = self.step.parameters, self.prior.with_least(SLOPES, slope)
-        views = under_sky(self.views, parameters)
+        views = under_fitted_ambient(self.views, parameters, self.light)
         # Two photographs do not tell gloss from slopes; several materials have told it (basis.py).
         narrow = len(self.prior.shares) > 1 or len(views) < 3
         free = self.prior if narrow else widened

@@ -315,11 +315,13 @@ def _tinted(log_f0: Tensor, parameters: Tensor) -> Tensor:
     return log_f0 + parameters[TINT] if len(parameters) > PARAMETERS else log_f0
 
 
-def under_sky(views: Sequence[ResampledView], parameters: Tensor) -> list[ResampledView]:
+def under_fitted_ambient(
+    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+) -> list[ResampledView]:
     """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
     def even(view: ResampledView) -> ResampledView:
-        (rendered,) = log_rendered(parameters, [AmbientLight()])
+        (rendered,) = log_rendered(parameters, [AmbientLight(light.ambient)])
         return replace(view, log=evenly_lit(view.log, view.seen, rendered))
 
     return [view if view.flash else even(view) for view in views]

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, AmbientLight
+from matcap.capture.multiview.ambient_light import AMBIENT_NOISE, UNIFORM_SKY, AmbientLight
 from matcap.capture.registration.camera import (
     Doubles,
     PosedCamera,
@@ -53,6 +53,8 @@ class SharedLight:
     error scales all slopes, and of its hue (texels.HUES)."""
     vignetting_deviation: tuple[float, float] = (0.4, 0.6)
     """(2,) prior standard deviations of `vignetting`."""
+    ambient: Tensor = field(default_factory=lambda: torch.tensor(UNIFORM_SKY))
+    """(3,) gradient of the ambient light (AmbientLight.gradient)."""
     coarse_offset: Tensor = field(default_factory=lambda: torch.zeros(2))
     """(2,) `offset` by the first photograph's coarse fit, the mean of its prior."""
     centre: tuple[float, float] = (0.0, 0.0)
@@ -174,7 +176,7 @@ def light_at(
 ) -> DifferentiableLight:
     """Light of photograph `number` at plane points (3, h, w)."""
     if not view.flash:
-        return AmbientLight(light.gain[number].exp()[:, None, None])
+        return AmbientLight(light.ambient, light.gain[number].exp()[:, None, None])
     camera = view.camera
     turn = torch.from_numpy(camera.turn).to(points)
     place = torch.from_numpy(camera.place).to(points)

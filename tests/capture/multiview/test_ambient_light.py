@@ -23,7 +23,7 @@ from matcap.brdf.maps import normals_from_slopes
 from matcap.capture.exemplar.relief_spectrum import slope_spectrum
 from matcap.capture.inspection import coverage
 from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit, without_ambient
-from matcap.capture.multiview.pair import on_albedo, scaled_by_ratio
+from matcap.capture.multiview.pair import on_albedo, scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.solve import solve
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.multiview.views import RAW_FALLOFF, SharedLight
@@ -147,22 +147,33 @@ def test_slow_ambient_light_is_removed():
     assert (found - even)[inner].abs().mean() < 0.02 < 0.2 * (uneven - even)[inner].abs().mean()
 
 
-def test_an_even_sky_darkens_slopes():
+def test_an_even_sky_darkens_slopes_and_a_window_lights_its_side():
     normal = normals_from_slopes(torch.tensor([[[0.0, 1.0, 1.0]]]), torch.zeros(1, 1, 3))
     sky = AmbientLight().onto(normal).irradiance[0, 0]
     np.testing.assert_allclose(sky, 0.5 + 0.5 * normal[2, 0], rtol=1e-6)
+    window = AmbientLight(torch.tensor([0.4, 0.0, 0.5])).onto(normal).irradiance[0, 0]
+    np.testing.assert_allclose(window - sky, 0.4 * normal[0, 0], atol=1e-6)
 
 
-def _pair(maps):
-    """Views of maps with a flash and in a room, and the light."""
+def _pair(maps, gradient):
+    """Views of maps with a flash and in a room of such light, and the light."""
     cameras = hold(PHONE, Hand(), 1, 1)
     light = SharedLight(torch.zeros(2), torch.zeros(2), torch.zeros(2, 3), torch.full((3,), 5.0))
-    return *(seen_by(cameras[0], n, maps, light, flash=n == 0) for n in (0, 1)), light
+    true = replace(light, ambient=torch.tensor(gradient))
+    return *(seen_by(cameras[0], n, maps, true, flash=n == 0) for n in (0, 1)), light
+
+
+def test_a_windows_side_is_found_by_the_contrast_of_the_ratio():
+    flash, room, light = _pair(grainy(2, LARGE, albedo=0.4), (-0.3, 0.2, 0.5))
+    flat = parameters_of(grainy(3, LARGE, albedo=0.4))
+    found = with_ambient_gradient([flash, room], flat, light)
+    np.testing.assert_allclose(found.ambient, (-0.3, 0.2, 0.5), atol=0.12)
 
 
 def test_relief_is_scaled_to_the_ratio_of_flash_and_ambient():
     maps = grainy(4, LARGE, albedo=0.4)
-    flash, room, light = _pair(maps)
+    flash, room, light = _pair(maps, (-0.3, 0.2, 0.5))
+    light = with_ambient_gradient([flash, room], parameters_of(maps), light)
     found = scaled_by_ratio(0.4 * maps.height, [flash, room], parameters_of(maps), light)
     wanted, seen = (
         slope_spectrum(h[0].numpy() / maps.texel_size)[1:4] ** 2 for h in (maps.height, found)
@@ -172,7 +183,7 @@ def test_relief_is_scaled_to_the_ratio_of_flash_and_ambient():
 
 def test_ambient_light_improves_albedo_and_slopes():
     maps = grainy(1, SIZE, albedo=0.4)
-    flash, room, light = _pair(maps)
+    flash, room, light = _pair(maps, (-0.3, -0.1, 0.5))
     log_error = torch.log(torch.tensor([0.5, 0.2, 0.2, 0.5]))[:, None, None].expand(4, *SIZE)
     off, astray = [], []
     for views in ([flash], [flash, room]):

@@ -102,7 +102,7 @@ _LIGHTS = (
         torch.tensor([0.2, -0.1, 2.0]),
         torch.tensor([1.0, 2.0, 3.0]),
     ),
-    AmbientLight(torch.tensor([1.0, 2.0, 3.0])[:, None, None]),
+    AmbientLight(torch.tensor([0.2, 0.3, 0.5]), torch.tensor([1.0, 2.0, 3.0])[:, None, None]),
 )
 
 
