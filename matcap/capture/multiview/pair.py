@@ -34,7 +34,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
-from matcap.capture.multiview.ambient_light import Views
+from matcap.capture.multiview.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
 from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.camera import Doubles, camera_of, grid_points, transformed
@@ -52,6 +52,7 @@ _STEPS = 60  # most iterations of ECC on each grid
 _LEAST = 0.2  # least correlation; below it the registration by features is kept
 _THINNED = 16  # subsampling of points for the camera and of texels for the regression, texels
 _PIXEL = 2e-4  # standard deviation of the resulting registration, plane units
+_WINDOWS = 40.0  # the long side over the standard deviation of local energies
 _CERTAIN = 1.0  # texels: a smaller registration error by features is kept
 _FINEST = 4.0  # wavelength, texels, below which bands keep their predicted energy
 # The long side over the standard deviation of the low-pass that is subtracted from the ratio.
@@ -161,6 +162,52 @@ class Ratio:
         log = ratio(first.log - flash, last.log - ambient)
         log = (log - local_mean(log, use, max(use.shape) / _SLOW)) * use
         return Ratio(log, sensitivity, flash_share.mean(0).numpy(), use)
+
+
+def with_ambient_gradient(
+    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+) -> SharedLight:
+    """Estimate the gradient of ambient light (SharedLight.ambient) from the contrast of the ratio.
+
+    Isotropic relief of slope energy S has the energy A + S |g - l|^2 / 2 in the ratio, with its
+    minimum at g = l. So local energies are fitted by weighted least squares as quadratic in g.
+    Returns `light` unchanged if no photograph is without flash. Arguments are those of Ratio.of.
+    """
+    if views[-1].flash:
+        return light
+    light = replace(light, ambient=torch.tensor(UNIFORM_SKY))
+    ratio = Ratio.of(views, parameters, light)
+    around = max(ratio.use.shape) / _WINDOWS
+    band = np.sum(split(ratio.log)[:4], axis=0)
+    energy = local_mean(np.square(band), ratio.use, around)
+    x, y = (smoothed(each, around) for each in ratio.sensitivity)
+    seen = smoothed(ratio.use, around) > 0.8
+    seen_share = float(seen.mean())
+    seen[np.indices(seen.shape).sum(0) % _THINNED > 0] = False
+    if seen.sum() < 100:
+        return light
+    terms = np.stack([np.ones_like(x), x, y, x * x + y * y])[:, seen].astype(np.float64)
+    measured = energy[seen].astype(np.float64)
+    weight: Doubles = np.ones_like(measured)
+    for _ in range(8):
+        normal = (terms * weight) @ terms.T
+        fitted = np.linalg.solve(
+            normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * measured)
+        )
+        weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * measured.mean()))
+    linear, squared = slice(1, 3), 3  # of the terms
+    relief = max(float(fitted[squared]), 1e-9)
+    # Samples for each independent one, as local energies overlap.
+    overlap = weight.size * 4.0 * np.pi * around**2 / seen_share / ratio.use.size
+    scatter = float((weight * np.square(fitted @ terms - measured)).mean()) * overlap
+    variance = scatter * np.linalg.inv(normal).diagonal()
+    slope = fitted[linear] / (2.0 * relief)
+    slope_variance = (variance[linear] + np.square(2.0 * slope) * variance[squared]) / (
+        2.0 * relief
+    ) ** 2
+    slope = slope * GRADIENT_DEVIATION**2 / (GRADIENT_DEVIATION**2 + slope_variance)
+    slope = np.clip(slope, -2.0 * GRADIENT_DEVIATION, 2.0 * GRADIENT_DEVIATION)
+    return replace(light, ambient=torch.tensor([*slope.tolist(), UNIFORM_SKY[2]]))
 
 
 def scaled_by_ratio(

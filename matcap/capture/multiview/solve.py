@@ -24,7 +24,7 @@ from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.multiview.ambient_light import SLOW
-from matcap.capture.multiview.pair import scaled_by_ratio
+from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.shared import SAMPLED, shared_step
 from matcap.capture.multiview.surface import (
     cross_energies,
@@ -133,6 +133,7 @@ class _Iterate:
         prior, gloss = prior.with_least(SLOPES, error), prior.gloss_deviation
         if light.gloss.shape != gloss.shape:
             light = replace(light, gloss=torch.zeros_like(gloss))
+        light = with_ambient_gradient(views, prior.mean, light)
         return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
 
     def with_shared(self, slope: float, sampled: int) -> _Iterate:
