@@ -214,7 +214,7 @@ def _initial(
 
 def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     """Refit the cameras to the homographies of the photographs by bundle adjustment."""
-    points = grid_points(24, 18).reshape(3, -1)
+    points = grid_points(12, 9).reshape(3, -1)
     camera, pairs = alignment.views[0].camera, []
     first = camera.sees(points)
     in_first = np.abs(first).max(0) < 1.0

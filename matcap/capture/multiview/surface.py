@@ -50,8 +50,7 @@ def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
 
     def gradient(of: Callable[[Tensor], Tensor], heights: Floats) -> Floats:
         """The transpose of the differences, applied to `of` the slopes of heights in texels."""
-        differences = torch.func.vjp(lambda h: slopes_of(h[None], 1.0), torch.from_numpy(heights))
-        found, transposed = differences[:2]
+        found, transposed = torch.func.vjp(_differences, torch.from_numpy(heights))[:2]
         return np.asarray(transposed(of(found))[0].numpy(), np.float32)
 
     height = integrated(slopes, texel_size, 2)
@@ -63,6 +62,12 @@ def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
         preconditioned=_preconditioner(weight[:2].numpy()),
     )
     return height + texel_size * torch.from_numpy(change)[None]
+
+
+def _differences(heights: Tensor) -> Tensor:
+    """(2, H, W) central differences of heights (H, W) in texels: slopes_of, as a linear map."""
+    down, across = torch.gradient(heights)
+    return torch.stack([across, -down])
 
 
 def _preconditioner(weight: Floats) -> Callable[[Floats], Floats]:
@@ -92,11 +97,6 @@ def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
         across, down = 0.5 * (x[:, 1:] + x[:, :-1]), -0.5 * (y[1:] + y[:-1])
         height = height + torch.from_numpy(integrate(across, down))[None]
     return height
-
-
-def texel_slopes(height: Floats) -> Floats:
-    """(2, H, W) central differences of (H, W) along columns and rows; y points up."""
-    return np.asarray(slopes_of(torch.from_numpy(height)[None], 1.0).numpy(), np.float32)
 
 
 # Wiener estimate of a map, octave by octave, from its measurement and the network's prediction.
@@ -162,15 +162,15 @@ def cross_energies(one: Floats, other: Floats, texel_size: float) -> list[float]
     Noise of either does not add to them: the cross-spectrum of both.
     """
     bands = list(split_all([one, other], _OCTAVES))[: len(_OCTAVES)]
-    each = (texel_slopes(a) * texel_slopes(b) for a, b in bands)
-    return [float(product.mean()) / texel_size**2 for product in each]
+    each = ([_differences(torch.from_numpy(half)) for half in pair] for pair in bands)
+    return [float((one * other).mean()) / texel_size**2 for one, other in each]
 
 
 def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) -> Floats:
     """(H, W) height whose slopes have given mean energies in the longest of its octaves."""
     bands = split(height, _OCTAVES)
     for band, energy in zip(bands, energies, strict=False):
-        current = float(np.square(texel_slopes(band)).mean()) / texel_size**2
+        current = float(_differences(torch.from_numpy(band)).square().mean()) / texel_size**2
         share = max(energy, 0.0) / max(current, _LEAST_VARIANCE)
         band *= np.float32(np.sqrt(share).clip(*_SCALED))
     return np.asarray(np.sum(bands, axis=0), np.float32)
