@@ -42,7 +42,7 @@ from matcap.capture.multiview.mosaic import (
 )
 from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
-from matcap.capture.multiview.solve import Solved, solve
+from matcap.capture.multiview.solve import ROUNDS, Solved, solve
 from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import ResampledView
 from matcap.capture.rectified import Rectified, network_input
@@ -213,20 +213,18 @@ def _solved(
     Photographs were registered with the parallax of predicted relief, which is too flat; on the
     fine grid they are resampled with that of the relief estimated on the coarse one.
     """
-    across, down = prior.maps.size
-    if alignment.extent.unit(across) < 2 * _COARSE:
-        views = alignment.on_grid(across, down)
-        on_progress = clock.callback("solve", 0.0, 1.0)
-        return alignment, views, solve(views, prior, alignment.light, on_progress=on_progress)
-    size = round(across / 2), round(down / 2)
-    views = alignment.on_grid(*size)
-    small = prior.resized(size[::-1], alignment.extent)
-    on_progress = clock.callback("solve", 0.0, _COARSE_SHARE)
-    coarser = solve(views, small, alignment.light, on_progress=on_progress)
-    alignment = replace(alignment, relief=coarser.maps.height[0].numpy())
-    views = alignment.on_grid(across, down)
-    on_progress = clock.callback("solve", _COARSE_SHARE, 1.0)
-    solved = solve(views, prior, coarser.light, coarser, on_progress, rounds=_FINER)
+    (across, down), coarser, share = prior.maps.size, None, 0.0
+    if alignment.extent.unit(across) >= 2 * _COARSE:
+        share, size = _COARSE_SHARE, (round(across / 2), round(down / 2))
+        small, progress = (
+            prior.resized(size[::-1], alignment.extent),
+            clock.callback("solve", 0.0, share),
+        )
+        coarser = solve(alignment.on_grid(*size), small, alignment.light, on_progress=progress)
+        alignment = replace(alignment, relief=coarser.maps.height[0].numpy(), light=coarser.light)
+    views, rounds = alignment.on_grid(across, down), ROUNDS if coarser is None else _FINER
+    progress = clock.callback("solve", share, 1.0)
+    solved = solve(views, prior, alignment.light, coarser, progress, rounds=rounds)
     return alignment, views, solved
 
 

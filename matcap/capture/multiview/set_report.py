@@ -263,7 +263,7 @@ _TRIPLES = 3  # predictions of photographs side by side
 
 
 def draw_set(report: SetReport, exemplar: NDArray[np.float32], width: int) -> Image.Image:
-    """Draw the sample with cameras, lights and what each photograph shows of it, and the residuals.
+    """Draw the sample with the cameras and flashes above it, and the report's lines.
 
     Args:
         report: cameras and residuals.
@@ -271,39 +271,25 @@ def draw_set(report: SetReport, exemplar: NDArray[np.float32], width: int) -> Im
         width: of the picture, pixels.
     """
     part, tall, extent = width // 3, width // 4, report.mosaic.extent
-    across, down = report.mosaic.size
-    high = down / across  # of the first photograph, over its width
-    corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
-    half = extent.half * np.array([1.0, exemplar.shape[0] / exemplar.shape[1]])
-    rim = np.array(extent.middle)[:, None] + half[:, None] * np.array([[-1.0, 1.0]])
     cameras = [view.camera for view in report.views]
-    seen = [camera.on_plane(corners)[:2] for camera in cameras]
-    places = [camera.place[:2] for camera in cameras]
-    flashes = [camera.flash(report.flash_offset)[:2] for camera in cameras]
-    shown = np.concatenate([rim, *seen, np.array([*places, *flashes]).T], axis=1)
-    low, high_corner = shown.min(1), shown.max(1)
-    middle, span = 0.5 * (low + high_corner), (1.0 + 2.0 * _MARGIN) * (high_corner - low)
-    scale = min(part / span[0], tall / span[1])
-
-    def at(point: NDArray[np.float64]) -> tuple[float, float]:
-        x, y = scale * (point - middle)
-        return 0.5 * part + float(x), 0.5 * tall - float(y)
-
+    flashes = [camera.flash(report.flash_offset) for camera in cameras]
+    half = extent.half * np.array([1.0, exemplar.shape[0] / exemplar.shape[1]])
+    places = np.array([*(camera.place for camera in cameras), *flashes])[:, :2] - extent.middle
+    # Pixels per plane unit at which the sample and all that is above it are shown.
+    reach = (1.0 + _MARGIN) * np.maximum(half, np.abs(places).max(0))
+    scale = 0.5 * min(part / reach[0], tall / reach[1])
     sheet, ink = _blank(width, tall, "from above")
-    (left, bottom), (right, top) = at(rim[:, 0]), at(rim[:, 1])
-    size = max(1, round(right - left)), max(1, round(bottom - top))
+    centre, size = 0.5 * np.array([part, tall]), np.rint(2.0 * scale * half).astype(int)
     codes = np.rint(np.clip(exemplar, 0.0, 1.0) * 255.0).astype(np.uint8)
-    sheet.paste(Image.fromarray(codes).resize(size), (round(left), round(top)))
-    for number, outline in enumerate(seen, 1):
-        ink.polygon([at(corner) for corner in outline.T], outline=_colour(number), width=2)
+    shown = Image.fromarray(codes).resize(tuple(size.tolist()))
+    sheet.paste(shown, tuple(np.rint(centre - 0.5 * size).astype(int).tolist()))
+    above = [tuple(place) for place in (centre + scale * places * [1.0, -1.0]).tolist()]
     font = ImageFont.load_default(size=14)
-    for number, (view, place, flash) in enumerate(
-        zip(report.views, places, flashes, strict=True), 1
-    ):
-        ink.circle(at(place), _ROUND, fill=_colour(number))
-        ink.text(at(place), str(number), fill=_PAPER, font=font, anchor="mm")
+    for number, (view, place) in enumerate(zip(report.views, above, strict=False), 1):
+        ink.circle(place, _ROUND, fill=_colour(number))
+        ink.text(place, str(number), fill=_PAPER, font=font, anchor="mm")
         if view.flash:
-            ink.circle(at(flash), _SPARK, fill=_FLASH, outline=_PAPER)
+            ink.circle(above[len(cameras) + number - 1], _SPARK, fill=_FLASH, outline=_PAPER)
     _write(report, ink, part + _ROUND, width)
     return sheet
 

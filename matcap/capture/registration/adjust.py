@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -51,27 +50,16 @@ class Pair:
     """Focal length of the photograph over the first's, by metadata or assumed."""
 
 
-class _Common(NamedTuple):
-    """Parameters of all photographs: camera distance, lens, and the first camera's tilt."""
-
-    log_distance: float  # over the setup's
-    k1: float
-    k2: float
-    tilt_x: float
-    tilt_y: float
-
-    def first_camera(self, setup: FlashSetup) -> PosedCamera:
-        """The first photograph's."""
-        return PosedCamera.of(self.adjusted(setup), (self.k1, self.k2))
-
-    def adjusted(self, setup: FlashSetup) -> FlashSetup:
-        """The setup with the estimated field of view and tilt."""
-        distance = setup.distance * math.exp(self.log_distance)
-        fov = 2.0 * math.degrees(math.atan(1.0 / distance))
-        return replace(setup, fov=fov, tilt=(self.tilt_x, self.tilt_y))
+# Parameters of all photographs: log of the camera distance over the setup's, k1 and k2 of the lens,
+# and the first camera's tilt about x and y.
+_COMMON = 5
 
 
-_COMMON = len(_Common._fields)
+def _adjusted(setup: FlashSetup, common: Doubles) -> FlashSetup:
+    """The first photograph's setup with the field of view and tilt of common parameters (5,)."""
+    distance = setup.distance * math.exp(common[0])
+    fov = 2.0 * math.degrees(math.atan(1.0 / distance))
+    return replace(setup, fov=fov, tilt=(float(common[3]), float(common[4])))
 
 
 @dataclass(frozen=True)
@@ -108,20 +96,18 @@ def adjust(
         distortion: prior standard deviations of the lens distortion, k1 and k2.
     """
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
-    initial = _Common(0.0, 0.0, 0.0, *setup.tilt)
-    deviation = np.array([focal, *distortion, TILT, TILT])
-    bundle = _Bundle(setup, pairs, np.array(initial), deviation, relief)
-    poses = [_initial_pose(initial.first_camera(setup), pair) for pair in pairs]
+    prior, deviation = np.r_[0.0, 0.0, 0.0, setup.tilt], np.array([focal, *distortion, TILT, TILT])
+    bundle = _Bundle(setup, pairs, prior, deviation, relief)
+    poses = [_initial_pose(PosedCamera.of(setup), pair) for pair in pairs]
     start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
     _, minimum = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
-    common = _Common(*minimum[:_COMMON].tolist())
-    cameras, errors = [common.first_camera(setup)], []
+    cameras, errors = [bundle.first_camera(minimum.numpy())], []
     for pair, block in bundle.blocks:
         fitted = minimum.numpy()[block]
         cameras.append(bundle.cameras(pair, fitted)[1])
         errors.append(float(np.median(np.hypot(*bundle.residuals(pair, fitted)))))
     found = tuple(cameras), tuple(errors)
-    return Adjusted(common.adjusted(setup), *found, bundle, minimum.numpy())
+    return Adjusted(_adjusted(setup, minimum.numpy()), *found, bundle, minimum.numpy())
 
 
 @dataclass(frozen=True)
@@ -146,9 +132,14 @@ class _Bundle:
         for number, pair in enumerate(self.pairs):
             yield pair, np.r_[:_COMMON, _COMMON + 6 * number + np.arange(6)]
 
+    def first_camera(self, parameters: Doubles) -> PosedCamera:
+        """The first photograph's, of parameters that begin with the common ones."""
+        distortion = float(parameters[1]), float(parameters[2])
+        return PosedCamera.of(_adjusted(self.setup, parameters), distortion)
+
     def cameras(self, pair: Pair, parameters: Doubles) -> tuple[PosedCamera, PosedCamera]:
         """The first photograph's camera and that of a pair's, of parameters (11,)."""
-        first = _Common(*parameters[:_COMMON].tolist()).first_camera(self.setup)
+        first = self.first_camera(parameters)
         turn = np.asarray(cv2.Rodrigues(parameters[_COMMON:-3])[0], np.float64)
         lens = replace(first.lens, focal=first.lens.focal * pair.focal)
         return first, PosedCamera(turn, parameters[-3:], lens)
