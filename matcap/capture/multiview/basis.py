@@ -25,6 +25,7 @@ import torch
 import torch.nn.functional as functional
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.distributions import MultivariateNormal
 
 from matcap.brdf.cook_torrance import ALBEDO, F0
 from matcap.capture.multiview.align import Aligned
@@ -297,10 +298,8 @@ def _colour_costs(features: Tensor, shares: Tensor) -> Tensor:
         mean = (flat * share).sum(1) / total
         off = flat - mean[:, None]
         covariance = (off * share) @ off.T / total + _LEAST_SPREAD**2 * torch.eye(3)
-        factor = torch.linalg.cholesky(covariance)
-        squares = torch.linalg.solve_triangular(factor, off, upper=False).square().sum(0)
-        size = (total / share.numel()).log()
-        costs.append(0.5 * squares + factor.diagonal().log().sum() - size)
+        density = MultivariateNormal(mean, covariance).log_prob(flat.T)
+        costs.append(-density - (total / share.numel()).log())
     return torch.stack(costs).reshape(shares.shape)
 
 
