@@ -27,7 +27,7 @@ from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
-from matcap.capture.exemplar.refine import fitted_to_highlight
+from matcap.capture.exemplar.refine import flattened, with_mean_parameters
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.ambient_light import SLOW, without_ambient
@@ -93,15 +93,13 @@ def estimate_multiview(
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
     spread = spread_over(single, mosaic.margins)
     with clock.stage("align"):
-        alignment, done = _unless_interrupted(
-            by_features, lambda: _aligned(by_features, single.maps, spread, clock)
-        )
+        rendered = partial(_aligned, by_features, single.maps, spread, clock)
+        alignment, done = _unless_interrupted(by_features, rendered)
     cameras = PosedCamera.of(by_features.setup), alignment.views[0].camera
     alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
     if mosaic.margins.any and done:
-        extended = partial(predicted_beyond, alignment, alone, mosaic, coarse)
-        predict = partial(_predict_anew, network)
-        alone, done = _unless_interrupted(alone, lambda: extended(predict))
+        several = alignment, alone, mosaic, coarse, partial(_predict_anew, network)
+        alone, done = _unless_interrupted(alone, partial(predicted_beyond, *several))
     prior = alone
     with clock.stage("solve"):
         if done:
@@ -264,7 +262,8 @@ def _inpainted(
     prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
     if estimate.basis is not None:
         return exemplar_of(observed, prediction)
-    exemplar = exemplar_of(observed, fitted_to_highlight(observed, prediction))
+    prediction = with_mean_parameters(observed, flattened(observed, prediction))
+    exemplar = exemplar_of(observed, prediction)
     return inpainted(exemplar, observed)[0]
 
 

@@ -50,14 +50,14 @@ def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
 
     def gradient(of: Callable[[Tensor], Tensor], heights: Floats) -> Floats:
         """The transpose of the differences, applied to `of` the slopes of heights in texels."""
-        found, transposed = torch.func.vjp(_differences, torch.from_numpy(heights))[:2]
-        return np.asarray(transposed(of(found))[0].numpy(), np.float32)
+        differences, transposed = torch.func.vjp(_differences, torch.from_numpy(heights))[:2]
+        return np.asarray(transposed(of(differences))[0].numpy(), np.float32)
 
     height = integrated(slopes, texel_size, 2)
     begun = (height[0] / texel_size).numpy()
     change = conjugate_gradients(
         lambda heights: gradient(weighted, heights),
-        gradient(lambda found: weighted(slopes - found), begun),
+        gradient(lambda differences: weighted(slopes - differences), begun),
         _STEPS,
         preconditioned=_preconditioner(weight[:2].numpy()),
     )

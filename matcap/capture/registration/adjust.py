@@ -106,8 +106,9 @@ def adjust(
         fitted = minimum.numpy()[block]
         cameras.append(bundle.cameras(pair, fitted)[1])
         errors.append(float(np.median(np.hypot(*bundle.residuals(pair, fitted)))))
-    found = tuple(cameras), tuple(errors)
-    return Adjusted(_adjusted(setup, minimum.numpy()), *found, bundle, minimum.numpy())
+    values = minimum.numpy()
+    first = _adjusted(setup, values)
+    return Adjusted(first, tuple(cameras), tuple(errors), bundle, values)
 
 
 @dataclass(frozen=True)

@@ -263,17 +263,17 @@ def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[floa
         a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
         return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
 
-    found, far = [], _SHIFTED
+    correlations, far = [], _SHIFTED
     for other, other_inside in others:
         both = inside & other_inside
         if both.mean() < 0.05:
-            found.append(-1.0)
+            correlations.append(-1.0)
             continue
         shifts = ((far, 0), (-far, 0), (0, far), (0, -far))
         shifted = max(correlation(other, both, x, y) for x, y in shifts)
         aligned = correlation(other, both, 0, 0)
-        found.append(aligned if aligned > shifted else -1.0)
-    return found
+        correlations.append(aligned if aligned > shifted else -1.0)
+    return correlations
 
 
 def _texture(

@@ -231,8 +231,8 @@ class _Fitted:
     ) -> dict[int, RegisteredView]:
         """The photographs with their cameras, by index."""
         views = {0: RegisteredView(photos[0], self.cameras[0])}
-        found = camera_deviations(self.adjusted, list(pairs.values()))
-        deviations = zip(pairs, found.positions, found.misregistration, strict=True)
+        fitted = camera_deviations(self.adjusted, list(pairs.values()))
+        deviations = zip(pairs, fitted.positions, fitted.misregistration, strict=True)
         for index, position, misregistration in deviations:
             views[index] = RegisteredView(
                 photos[index],
