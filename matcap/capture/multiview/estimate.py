@@ -27,7 +27,7 @@ from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
-from matcap.capture.exemplar.refine import flattened, with_mean_parameters
+from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.ambient_light import SLOW, without_ambient
@@ -262,8 +262,7 @@ def _inpainted(
     prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
     if estimate.basis is not None:
         return exemplar_of(observed, prediction)
-    prediction = with_mean_parameters(observed, flattened(observed, prediction))
-    exemplar = exemplar_of(observed, prediction)
+    exemplar = exemplar_of(observed, fitted_to_highlight(observed, prediction))
     return inpainted(exemplar, observed)[0]
 
 
