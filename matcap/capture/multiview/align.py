@@ -163,11 +163,9 @@ def _on_level(
         predicted: the first photograph's camera at the prediction.
         alignment: has its current camera.
     """
-    extent, (width, height) = alignment.extent, prediction.maps.size
-    finest = min(extent.unit(width), _FINEST)
-    across = extent.across(max(64, round(level * finest)))
-    down = round(height * across / width)
-    small = prediction.resized((down, across), extent)
+    extent = alignment.extent
+    finest = min(extent.unit(prediction.maps.size[0]), _FINEST)
+    small = prediction.coarser(max(64, round(level * finest)), extent)
     return replace(small, maps=reframed(small.maps, predicted, alignment.views[0].camera, extent))
 
 

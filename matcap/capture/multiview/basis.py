@@ -81,15 +81,12 @@ def with_basis(alignment: Aligned, prediction: Estimate) -> tuple[Aligned, Estim
     Both unchanged if one material predicts held-back photographs as well, or fewer than three have
     flash.
     """
-    width, height = prediction.maps.size
-    across = min(alignment.extent.across(_ACROSS), width)
-    down = round(height * across / width)
-    small = prediction.resized((down, across), alignment.extent)
-    fitted = fit_basis(alignment.on_grid(across, down), small, alignment.light)
+    small = prediction.coarser(_ACROSS, alignment.extent)
+    fitted = fit_basis(alignment.on_grid(*small.maps.size), small, alignment.light)
     if fitted is None:
         return alignment, prediction
     coarse, light = fitted
-    fine = alignment.on_grid(width, height)
+    fine = alignment.on_grid(*prediction.maps.size)
     guide = _dimmest(fine, light).clamp_min(1e-3).log().numpy()
     basis = replace(coarse, shares=torch.from_numpy(_refined(coarse.shares.numpy(), guide)))
     brighter = (alignment.light.intensity / light.intensity)[:, None, None]

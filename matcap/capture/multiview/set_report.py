@@ -109,21 +109,20 @@ def leave_one_out(
         alone: maps by the first photograph.
         begun: its light, as its coarse fit has it.
     """
-    width, height = prediction.maps.size
-    across = min(alignment.extent.across(_ACROSS), width)
-    down = round(height * across / width)
-    small, own = (each.resized((down, across), alignment.extent) for each in (prediction, alone))
-    views = alignment.on_grid(across, down)
+    extent = alignment.extent
+    small, own, by_all = (
+        each.coarser(_ACROSS, extent) for each in (prediction, alone, solved.estimate)
+    )
+    views, whole = alignment.on_grid(*small.maps.size), replace(solved, estimate=by_all)
     lit = [number for number, view in enumerate(views) if view.flash]
     if len(lit) < 2:
         return LeaveOneOut((), ())
-    by_all = replace(solved, estimate=solved.estimate.resized((down, across), alignment.extent))
     by_others, by_first = [math.nan] * len(views), [math.nan] * len(views)
     pictures = []
     for left_out in lit:
         kept = [number for number in range(len(views)) if number != left_out]
-        some, light = [views[number] for number in kept], by_all.light.of_some(kept)
-        without = solve(some, small, light, by_all, rounds=_WITHOUT, sampled=_SAMPLED)
+        some, light = [views[number] for number in kept], solved.light.of_some(kept)
+        without = solve(some, small, light, whole, rounds=_WITHOUT, sampled=_SAMPLED)
         by_others[left_out], foretold = left_out_residual(
             views[left_out], without.maps, without.light
         )

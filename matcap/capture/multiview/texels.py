@@ -167,6 +167,12 @@ class Estimate:
     basis: SharedMaterials | None = None
     """Materials that texels share; None if all are one, whose F0 and roughness are the maps'."""
 
+    def coarser(self, unit: float, extent: Extent = OWN) -> Estimate:
+        """On a grid of at most `unit` texels along the first photograph's long side."""
+        width, height = self.maps.size
+        across = min(extent.across(unit), width)
+        return self.resized((round(height * across / width), across), extent)
+
     def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:
         """Area average on a coarser grid of `size` = (rows, columns) texels over an extent."""
         maps, log_error = (
