@@ -383,7 +383,7 @@ def stepped(
         of_each = _normal_equations(views, rows, parameters[:, rows], light, slopes=slopes)
         whole = sum(of_each[1:], of_each[0])
         current = parameters[part], prior.mean[part], prior.deviation[part]
-        moved[part], precision[part], factor = solved(whole, *current)
+        moved[part], precision[part], factor = solved(whole.clone(), *current)
         if slopes:
             # L L^T, L being the block of slopes of the Cholesky factor, as they are last.
             (xx, _), (yx, yy) = factor[SLOPES, SLOPES]
@@ -454,11 +454,11 @@ def solved(
     the Cholesky factor (n + 1, n, N) of the equations.
 
     Args:
-        system: normal_equations.
+        system: normal_equations; overwritten.
         parameters, mean, deviation: (n, h, w) current and prior.
     """
     shape, precision = parameters.shape, deviation.flatten(1).square().reciprocal()
-    measured, system = system.diagonal().T.clone(), system.clone()
+    measured = system.diagonal().T.clone()
     system.diagonal().T.add_(precision + _DAMPING * measured)
     system[-1] += precision * (mean - parameters).flatten(1)
     step = solved_in_place(system)[:, 0].nan_to_num(0.0).clamp(-0.7, 0.7)
