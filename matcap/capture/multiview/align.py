@@ -163,11 +163,9 @@ def _on_level(
         predicted: the first photograph's camera at the prediction.
         alignment: has its current camera.
     """
-    extent, (width, height) = alignment.extent, prediction.maps.size
-    finest = min(extent.unit(width), _FINEST)
-    across = extent.across(max(64, round(level * finest)))
-    down = round(height * across / width)
-    small = prediction.resized((down, across), extent)
+    extent = alignment.extent
+    finest = min(extent.unit(prediction.maps.size[0]), _FINEST)
+    small = prediction.coarser(max(64, round(level * finest)), extent)
     return replace(small, maps=reframed(small.maps, predicted, alignment.views[0].camera, extent))
 
 
@@ -214,7 +212,7 @@ def _initial(
 
 def _posed(setup: FlashSetup, alignment: Aligned) -> Aligned:
     """Refit the cameras to the homographies of the photographs by bundle adjustment."""
-    points = grid_points(24, 18).reshape(3, -1)
+    points = grid_points(12, 9).reshape(3, -1)
     camera, pairs = alignment.views[0].camera, []
     first = camera.sees(points)
     in_first = np.abs(first).max(0) < 1.0

@@ -25,6 +25,7 @@ import torch
 import torch.nn.functional as functional
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.distributions import MultivariateNormal
 
 from matcap.brdf.cook_torrance import ALBEDO, F0
 from matcap.capture.multiview.align import Aligned
@@ -68,40 +69,30 @@ _HUE, _CERTAIN = 0.3, 4.0
 _CONDUCTS = 0.9  # a conductor's cost over the dielectric's, at most
 _LEAST_SHARE = 0.005  # of the texels: smaller materials are dropped
 _DARK_CODE = 0.003  # radiance added before the code of the error of prediction
-_RADIUS, _SMOOTH = 3, 0.05  # of the guided filter that refines shares: texels, and log radiance
+# Of the guided filter that refines shares: coarse texels, and log radiance.
+_RADIUS, _SMOOTH = 3, 0.05
 
 Floats = NDArray[np.float32]
 
 
-def with_basis(
-    alignment: Aligned, prediction: Estimate, *, interrupted: bool
-) -> tuple[Aligned, Estimate, bool]:
+def with_basis(alignment: Aligned, prediction: Estimate) -> tuple[Aligned, Estimate]:
     """The prediction with F0 and roughness of shared materials, and the light fitted with them.
 
     Both unchanged if one material predicts held-back photographs as well, or fewer than three have
-    flash; or after Ctrl-C, `interrupted` or now, which the third result says.
+    flash.
     """
-    if interrupted:
-        return alignment, prediction, True
-    width, height = prediction.maps.size
-    across = min(alignment.extent.across(_ACROSS), width)
-    down = round(height * across / width)
-    views = alignment.on_grid(across, down)
-    small = prediction.resized((down, across), alignment.extent)
-    try:
-        fitted = fit_basis(views, small, alignment.light)
-    except KeyboardInterrupt:
-        return alignment, prediction, True
+    small = prediction.coarser(_ACROSS, alignment.extent)
+    fitted = fit_basis(alignment.on_grid(*small.maps.size), small, alignment.light)
     if fitted is None:
-        return alignment, prediction, False
+        return alignment, prediction
     coarse, light = fitted
-    fine = alignment.on_grid(width, height)
-    guides = (_dimmest(each, light).clamp_min(1e-3).log().numpy() for each in (views, fine))
-    basis = replace(coarse, shares=torch.from_numpy(_refined(coarse.shares.numpy(), *guides)))
+    fine = alignment.on_grid(*prediction.maps.size)
+    guide = _dimmest(fine, light).clamp_min(1e-3).log().numpy()
+    basis = replace(coarse, shares=torch.from_numpy(_refined(coarse.shares.numpy(), guide)))
     brighter = (alignment.light.intensity / light.intensity)[:, None, None]
     maps = replace(prediction.maps, diffuse=prediction.maps.diffuse * brighter)
     prediction = replace(prediction, maps=basis.onto(maps), basis=basis)
-    return replace(alignment, light=light), prediction, False
+    return replace(alignment, light=light), prediction
 
 
 def fit_basis(
@@ -304,10 +295,8 @@ def _colour_costs(features: Tensor, shares: Tensor) -> Tensor:
         mean = (flat * share).sum(1) / total
         off = flat - mean[:, None]
         covariance = (off * share) @ off.T / total + _LEAST_SPREAD**2 * torch.eye(3)
-        factor = torch.linalg.cholesky(covariance)
-        squares = torch.linalg.solve_triangular(factor, off, upper=False).square().sum(0)
-        size = (total / share.numel()).log()
-        costs.append(0.5 * squares + factor.diagonal().log().sum() - size)
+        density = MultivariateNormal(mean, covariance).log_prob(flat.T)
+        costs.append(-density - (total / share.numel()).log())
     return torch.stack(costs).reshape(shares.shape)
 
 
@@ -359,22 +348,17 @@ def _started(fit: _Fit, shares: Tensor) -> _Fit:
     white = fit.light.intensity.log().mean().exp().expand(3)
     light = replace(fit.light, intensity=white, vignetting=torch.tensor(_VIGNETTING))
     reflected, lobes = _reflected(fit.views, light), _lobes(fit.views, light)
-    fits = [
-        [
-            min(((_ROUGH[n], fitted(cells, lobe)) for n, lobe in enumerate(lobes)), key=_cost_of)
-            for fitted in (_dielectric, _conductor)
-        ]
-        for cells in (_cell_means(reflected, share) for share in shares)
-    ]
-    conductor = [_cost_of(other) < _CONDUCTS * _cost_of(matte) for matte, other in fits]
-    gloss, certain = [], []
-    for fit_of, metal in zip(fits, conductor, strict=True):
-        rough, scanned = fit_of[metal]
-        log_f0 = scanned.f0.log()
+    gloss, certain, conductor = [], [], []
+    for share in shares:
+        cells = _cell_means(reflected, share)
+        matte, metal = (_scanned(cells, lobes, conducts=each) for each in (False, True))
+        conductor.append(metal.cost < _CONDUCTS * matte.cost)
+        scanned = metal if conductor[-1] else matte
+        log_f0, rough = scanned.f0.log(), scanned.roughness
         level = log_f0.mean(0, keepdim=True)
         gloss.append(torch.cat([level, torch.tensor([rough]).logit(), log_f0 - level]))
-        prior = CONDUCTOR_F0 if metal else DIELECTRIC_F0
-        error = 0.0 if metal else rough  # a wide lobe may be albedo's, or the falloff's
+        prior = CONDUCTOR_F0 if conductor[-1] else DIELECTRIC_F0
+        error = 0.0 if conductor[-1] else rough  # a wide lobe may be albedo's, or the falloff's
         variance = prior.deviation**2 + error**2 + 1.0 / max(scanned.information, 1e-6)
         certain.append(1.0 / variance)
     conducts, coloured = torch.tensor(conductor), torch.stack(gloss)[:, 2:].abs().amax(1) > _HUE
@@ -399,55 +383,53 @@ class _Scanned(NamedTuple):
 
     cost: float
     """Mean robust cost."""
+    roughness: float
     f0: Tensor
     """(3,) F0."""
     information: float
     """Precision of log F0: 1 / variance."""
 
 
-def _cost_of(scanned: tuple[float, _Scanned]) -> float:
-    """Cost of a roughness and its fit."""
-    return scanned[1].cost
+def _scanned(cells: Tensor, lobes: Sequence[Tensor], *, conducts: bool) -> _Scanned:
+    """The best fit of cells (n, 3, h, w) by one of the lobes (n, 1, h, w) of _ROUGH.
 
-
-def _dielectric(cells: Tensor, lobe: Tensor) -> _Scanned:
-    """Fit of cells with albedo of their own, F0 in common."""
+    Of a dielectric, cells have an albedo of their own and F0 in common; of a conductor, each its
+    own scale of F0.
+    """
     seen, light = ~cells.isnan(), cells.nan_to_num(1.0).clamp_min(1e-6)
-    given, f0 = seen / light.square(), torch.full((3, 1, 1), 0.04)
-    kept = torch.ones_like(light)
-    for _ in range(6):
-        weight = given * kept
-        albedo = (weight * (light - f0 * lobe)).sum(0) / weight.sum(0).clamp_min(1e-9)
-        albedo = albedo.clamp_min(1e-4)
-        over = weight * lobe
-        f0 = (over * (light - albedo)).sum((0, 2, 3)) / (over * lobe).sum((0, 2, 3)).clamp_min(1e-9)
-        f0 = f0.clamp(1e-3, 1.0)[:, None, None]
-        residual = ((albedo + f0 * lobe).log() - light.log()) / _SCALE
-        kept = (1.0 + residual.square()).reciprocal().square()
-    glossy = (f0 * lobe / (albedo + f0 * lobe)).where(seen, torch.nan)
-    contrast = (glossy - glossy.nanmean(0)).square().nan_to_num(0.0) * kept
-    information = float(contrast.sum() / 3.0 / _SCALE**2)
-    return _Scanned(_cost(residual, seen), f0.flatten(), information)
+    fitted, scanned = _conductor if conducts else _dielectric, []
+    for lobe, rough in zip(lobes, _ROUGH, strict=True):
+        kept, f0, residual, contrast = seen.float(), torch.full((3, 1, 1), 0.04), light, light
+        for _ in range(6):
+            f0, rendered, contrast = fitted(light, lobe, seen * kept, f0)
+            residual = (light.log() - rendered.clamp_min(1e-6).log()) / _SCALE
+            kept = (1.0 + residual.square()).reciprocal().square()
+        square = residual.square()
+        cost = float((seen * square / (1.0 + square)).sum() / seen.sum().clamp_min(1))
+        information = float((contrast * seen * kept).sum())
+        scanned.append(_Scanned(cost, rough, f0.flatten(), information))
+    return min(scanned, key=lambda one: one.cost)
 
 
-def _conductor(cells: Tensor, lobe: Tensor) -> _Scanned:
-    """Fit of cells without albedo, each with a scale of its own."""
-    seen = ~cells.isnan()
-    log = cells.nan_to_num(1.0).clamp_min(1e-6).log() - lobe.clamp_min(1e-6).log()
-    kept, scale, residual = seen.float(), log, log
-    for _ in range(6):
-        scale = (kept * log).sum(0) / kept.sum(0).clamp_min(1e-6)
-        residual = (log - scale) / _SCALE
-        kept = seen * (1.0 + residual.square()).reciprocal().square()
-    by_cell = kept.sum(0)
+def _dielectric(light: Tensor, lobe: Tensor, kept: Tensor, f0: Tensor) -> tuple[Tensor, ...]:
+    """F0 (3, 1, 1), what it renders, and each cell's information on its log."""
+    given = kept / light.square()
+    albedo = (given * (light - f0 * lobe)).sum(0) / given.sum(0).clamp_min(1e-9)
+    albedo, over = albedo.clamp_min(1e-4), given * lobe
+    f0 = (over * (light - albedo)).sum((0, 2, 3)) / (over * lobe).sum((0, 2, 3)).clamp_min(1e-9)
+    f0 = f0.clamp(1e-3, 1.0)[:, None, None]
+    rendered = albedo + f0 * lobe
+    glossy = f0 * lobe / rendered
+    mean = glossy.where(kept > 0.0, torch.nan).nanmean(0).nan_to_num(0.0)
+    return f0, rendered, (glossy - mean).square() / (3.0 * _SCALE**2)
+
+
+def _conductor(light: Tensor, lobe: Tensor, kept: Tensor, _f0: Tensor) -> tuple[Tensor, ...]:
+    """As _dielectric, of cells without albedo."""
+    log, by_cell = light.log() - lobe.clamp_min(1e-6).log(), kept.sum(0)
+    scale = (kept * log).sum(0) / by_cell.clamp_min(1e-6)
     f0 = ((by_cell * scale).sum((1, 2)) / by_cell.sum((1, 2)).clamp_min(1e-6)).exp()
-    return _Scanned(_cost(residual, seen), f0, float(kept.sum()))
-
-
-def _cost(residual: Tensor, seen: Tensor) -> float:
-    """Mean robust cost of the residuals seen."""
-    square = residual.square()
-    return float((seen * square / (1.0 + square)).sum() / seen.sum().clamp_min(1))
+    return f0[:, None, None], scale.exp() * lobe.clamp_min(1e-6), torch.ones_like(kept)
 
 
 def _predicted(view: ResampledView, fit: _Fit) -> float:
@@ -462,35 +444,17 @@ def _code(log: Tensor) -> Tensor:
     return (log.exp().clamp_max(1.0) + _DARK_CODE) ** (1.0 / 2.4)
 
 
-def _refined(shares: Floats, coarse: Floats, fine: Floats) -> Floats:
-    """(K, H, W) shares of a coarse grid on a finer one, by a guided filter [he2013].
+def _refined(shares: Floats, fine: Floats) -> Floats:
+    """(K, H, W) shares (K, h, w) on the grid of a guide, by a guided filter [he2013].
 
     Args:
-        shares: (K, h, w).
-        coarse, fine: (3, h, w) and (3, H, W) guides, log radiance.
+        shares: of a coarse grid.
+        fine: (3, H, W) guide, log radiance.
     """
-    side = 2 * _RADIUS + 1
-
-    def mean(plane: Floats) -> Floats:
-        return np.asarray(cv2.blur(plane, (side, side), borderType=cv2.BORDER_REFLECT), np.float32)
-
-    means = np.stack([mean(plane) for plane in coarse])
-    covariance = np.empty((3, 3, *coarse.shape[1:]), np.float32)
-    for i in range(3):
-        for j in range(3):
-            covariance[i, j] = mean(coarse[i] * coarse[j]) - means[i] * means[j]
-    covariance += (_SMOOTH**2 * np.eye(3, dtype=np.float32))[..., None, None]
-    inverse = np.linalg.inv(np.moveaxis(covariance, (0, 1), (-2, -1)))
-    size = fine.shape[:0:-1]
-    refined = []
-    for share in shares:
-        level = mean(share)
-        along = np.stack([mean(share * plane) for plane in coarse]) - level * means
-        slope = np.einsum("hwij,jhw->ihw", inverse, along)
-        rest = level - (slope * means).sum(0)
-        planes = [mean(plane) for plane in (*slope, rest)]
-        *slope, rest = (cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR) for plane in planes)
-        refined.append((np.stack(slope) * fine).sum(0) + rest)
+    size, guide = fine.shape[:0:-1], np.ascontiguousarray(np.moveaxis(fine, 0, -1))
+    radius = max(1, round(_RADIUS * size[0] / shares.shape[2]))
+    wide = (cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) for share in shares)
+    refined = [cv2.ximgproc.guidedFilter(guide, share, radius, _SMOOTH**2) for share in wide]
     sharp = np.stack(refined).clip(1e-3, 1.0) ** 2
     return np.asarray(sharp / sharp.sum(0), np.float32)
 

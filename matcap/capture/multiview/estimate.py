@@ -8,8 +8,10 @@ mosaic (mosaic.py) also needs predictions of the others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -34,16 +36,13 @@ from matcap.capture.multiview.mosaic import (
     Mosaic,
     extrapolated,
     mosaic_of,
-    predict_views,
-    scatter,
+    predicted_beyond,
     seen_by_any,
     spread_over,
-    unpredicted,
-    with_others,
 )
 from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
-from matcap.capture.multiview.solve import Solved, solve
+from matcap.capture.multiview.solve import ROUNDS, Solved, solve
 from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import ResampledView
 from matcap.capture.rectified import Rectified, network_input
@@ -58,6 +57,8 @@ from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
+
+Result = TypeVar("Result")
 
 # Steps per texel in each round, on a grid that starts from the solution of one half as fine.
 _FINER: tuple[int, ...] = (1,)
@@ -91,25 +92,29 @@ def estimate_multiview(
     mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
     spread = spread_over(single, mosaic.margins)
-    alignment, interrupted = _aligned(by_features, single.maps, spread, clock)
-    first, camera = alignment.views[0].photo, PosedCamera.of(by_features.setup)
-    alone = _reframed(spread, camera, alignment, mosaic)
-    if mosaic.margins.any:
-        if not interrupted:
-            alone, interrupted = _fused(alignment, alone, coarse, network)
-        alone = alone.with_most_error(scatter(single))
+    with clock.stage("align"):
+        rendered = partial(_aligned, by_features, single.maps, spread, clock)
+        alignment, done = _unless_interrupted(by_features, rendered)
+    cameras = PosedCamera.of(by_features.setup), alignment.views[0].camera
+    alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
+    if mosaic.margins.any and done:
+        several = alignment, alone, mosaic, coarse, partial(_predict_anew, network)
+        alone, done = _unless_interrupted(alone, partial(predicted_beyond, *several))
+    prior = alone
     with clock.stage("solve"):
-        alignment, prior, interrupted = with_basis(alignment, alone, interrupted=interrupted)
+        if done:
+            basis = partial(with_basis, alignment, alone)
+            (alignment, prior), done = _unless_interrupted((alignment, alone), basis)
         alignment, resampled, solved = _solved(alignment, prior, clock)
-    interrupted |= solved.interrupted
+    done &= not solved.interrupted
     camera_only = replace(coarse, setup=alignment.setup)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("predict"):
-        several = prior, alone, by_features.light
-        unknown = LeaveOneOut((), ())
-        checked = unknown if interrupted else leave_one_out(alignment, solved, *several)
+        check = partial(leave_one_out, alignment, solved, prior, alone, by_features.light)
+        checked = check() if done else LeaveOneOut((), ())
         if checked.kept_first is not None and not mosaic.margins.any:
             solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only
+    first = alignment.views[0].photo
     rectified = replace(Rectified.of(first, camera_only, detail), coarse=lit)
     with clock.stage("inpaint"):
         mosaic, plane, maps = _whole(rectified.whole, alignment, mosaic, solved.maps)
@@ -120,10 +125,16 @@ def estimate_multiview(
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
     result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], 0.0)
-    result = replace(
-        result, interrupted=interrupted, several=report, scale=scale, turned=first.turned
-    )
+    result = replace(result, interrupted=not done, several=report, scale=scale, turned=first.turned)
     return rectified, result.with_sharpness(rectified)
+
+
+def _unless_interrupted(otherwise: Result, compute: Callable[[], Result]) -> tuple[Result, bool]:
+    """What is computed, and True; `otherwise` and False after Ctrl-C."""
+    try:
+        return compute(), True
+    except KeyboardInterrupt:
+        return otherwise, False
 
 
 def registered(
@@ -177,55 +188,19 @@ def predict_alone(
 
 def _aligned(
     by_features: Aligned, own: MapSet, prediction: Estimate, clock: CaptureClock
-) -> tuple[Aligned, bool]:
-    """Register photographs by rendering; (the registration, whether it was interrupted).
+) -> Aligned:
+    """Register photographs by rendering, after the one without flash is subtracted.
 
-    Args:
-        by_features: the registration by features.
-        own: predicted maps of the first photograph's rectangle.
-        prediction: the network's, over the exemplar's extent.
-        clock: of the stages.
+    `own` are predicted maps of the first photograph's rectangle, `prediction` covers the extent.
     """
-    alignment = by_features
-    try:
-        with clock.stage("align"):
-            views = without_ambient(on_albedo(alignment.views, alignment.setup, own))
-            alignment = replace(alignment, views=views)
-            on_progress = clock.callback("align")
-            return aligned(alignment, prediction, on_progress=on_progress), False
-    except KeyboardInterrupt:
-        return alignment, True
+    cameras = PosedCamera.of(by_features.setup), by_features.views[0].camera
+    views = without_ambient(on_albedo(by_features.views, reframed(own, *cameras)))
+    return aligned(replace(by_features, views=views), prediction, clock.callback("align"))
 
 
-def _reframed(
-    prediction: Estimate, predicted: PosedCamera, alignment: Aligned, mosaic: Mosaic
-) -> Estimate:
-    """The prediction, resampled to the plane of the registered camera.
-
-    Args:
-        prediction: the network's, over the exemplar's extent.
-        predicted: the first photograph's camera at the prediction.
-        alignment: has its registered camera.
-        mosaic: extent, beyond the first photograph without prediction.
-    """
-    cameras = predicted, alignment.views[0].camera
-    maps = reframed(prediction.maps, *cameras, mosaic.extent)
-    return Estimate(maps, unpredicted(prediction.log_error, mosaic))
-
-
-def _fused(
-    alignment: Aligned, first: Estimate, coarse: CoarseFit, network: Inverse
-) -> tuple[Estimate, bool]:
-    """Prediction of a mosaic from all photographs, or `first` and True if interrupted."""
-
-    def predict(plane: Plane, fit: CoarseFit) -> Estimate:
-        return predict_alone(plane, fit, network, CaptureClock(None))[0]
-
-    try:
-        predictions = predict_views(alignment, first, coarse, predict)
-    except KeyboardInterrupt:
-        return first, True
-    return with_others(first, predictions), False
+def _predict_anew(network: Inverse, plane: Plane, fit: CoarseFit) -> Estimate:
+    """Prediction of another photograph of a mosaic."""
+    return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
 
 def _solved(
@@ -236,20 +211,18 @@ def _solved(
     Photographs were registered with the parallax of predicted relief, which is too flat; on the
     fine grid they are resampled with that of the relief estimated on the coarse one.
     """
-    across, down = prior.maps.size
-    if alignment.extent.unit(across) < 2 * _COARSE:
-        views = alignment.on_grid(across, down)
-        on_progress = clock.callback("solve", 0.0, 1.0)
-        return alignment, views, solve(views, prior, alignment.light, on_progress=on_progress)
-    size = round(across / 2), round(down / 2)
-    views = alignment.on_grid(*size)
-    small = prior.resized(size[::-1], alignment.extent)
-    on_progress = clock.callback("solve", 0.0, _COARSE_SHARE)
-    coarser = solve(views, small, alignment.light, on_progress=on_progress)
-    alignment = replace(alignment, relief=coarser.maps.height[0].numpy())
-    views = alignment.on_grid(across, down)
-    on_progress = clock.callback("solve", _COARSE_SHARE, 1.0)
-    solved = solve(views, prior, coarser.light, coarser, on_progress, rounds=_FINER)
+    (across, down), coarser, share = prior.maps.size, None, 0.0
+    if alignment.extent.unit(across) >= 2 * _COARSE:
+        share, size = _COARSE_SHARE, (round(across / 2), round(down / 2))
+        small, progress = (
+            prior.resized(size[::-1], alignment.extent),
+            clock.callback("solve", 0.0, share),
+        )
+        coarser = solve(alignment.on_grid(*size), small, alignment.light, on_progress=progress)
+        alignment = replace(alignment, relief=coarser.maps.height[0].numpy(), light=coarser.light)
+    views, rounds = alignment.on_grid(across, down), ROUNDS if coarser is None else _FINER
+    progress = clock.callback("solve", share, 1.0)
+    solved = solve(views, prior, alignment.light, coarser, progress, rounds=rounds)
     return alignment, views, solved
 
 

@@ -1,4 +1,11 @@
-"""Mosaic: network predictions of all photographs fused, and maps of all that they show."""
+"""Mosaic: the extent of all that several photographs show, and its prediction and maps.
+
+The first photograph's grid is extended by margins. The photographs rarely cover a rectangle: the
+exemplar is the bounding box of the coverage, less sides that are mostly unseen, and its unseen
+texels are masked. Within the first photograph the network's prediction is that of the first; beyond
+it, the mean of the predictions of the others, each on the plane that faces its own camera, as in
+training, weighted by the distance to its border.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +21,14 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
+from matcap.brdf.cook_torrance import ALBEDO, ROUGH
+from matcap.brdf.cook_torrance import F0 as LOG_F0
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.relief_spectrum import filled, smoothed
 from matcap.capture.multiview.align import Aligned
-from matcap.capture.multiview.surface import integrated, surface_of
-from matcap.capture.multiview.texels import SLOPES, TINT, Estimate, maps_of, parameters_of
-from matcap.capture.multiview.views import SharedLight, ViewWarp
+from matcap.capture.multiview.surface import integrated
+from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of, slopes_of
+from matcap.capture.multiview.views import SharedLight
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
@@ -29,16 +37,7 @@ from matcap.flash.geometry import Extent, FlashSetup, Margins
 from matcap.flash.light import cached_rows, strips
 from matcap.flash.rectify import Plane, read_plane
 
-# Mosaic: maps of all that the photographs show, not the first one's rectangle alone.
-#
-# The first photograph's grid is extended by margins. The photographs rarely cover a rectangle: the
-# exemplar is the bounding box of the coverage, less sides that are mostly unseen, and its unseen
-# texels are masked.
-
-
 Marks = NDArray[np.bool_]
-
-# Limits of the mosaic; docs/notes/several.md.
 
 # Largest angle of a ray to the plane's normal, degrees; at 60, foreshortening is one half.
 STEEPEST = 60.0
@@ -47,6 +46,9 @@ _TEXELS = 4_000_000  # largest number of texels, but no fewer than the first pho
 _CELLS = 64  # cells across the first photograph, in which coverage is determined
 _FARTHEST = 256  # cells searched on each side
 _THINNEST = 3  # least width of a margin, cells
+_STEEPEST_PREDICTED = 35.0  # largest tilt in the network's training, degrees
+# Width of the border along which a prediction's weight falls to 0, as a share of its width.
+_FADES = 0.12
 
 
 @dataclass(frozen=True)
@@ -116,33 +118,60 @@ def mosaic_of(views: Sequence[RegisteredView], size: tuple[int, int]) -> Mosaic:
         views: photographs with their cameras, the first one first.
         size: (width, height) of the first one's grid, texels.
     """
-    rows = round(_CELLS * size[1] / size[0])
-    seen = _any_sees(views, _cells(rows, size))
+    cells, far = (_CELLS, round(_CELLS * size[1] / size[0])), Margins(*(_FARTHEST,) * 4)
+    seen = _any_sees(views, grid_points(*far.around(cells), far.extent(_CELLS)))
     most = min(UNION_TIMES, max(1.0, _TEXELS / (size[0] * size[1])))
-    box = _box(seen, rows, most * rows * _CELLS)
-    limited = box != _box(seen, rows, math.inf)
-    beyond = (
-        _FARTHEST - box[0].start,
-        box[0].stop - _FARTHEST - rows,
-        _FARTHEST - box[1].start,
-        box[1].stop - _FARTHEST - _CELLS,
+    box, whole = (_box(seen, cells, times * cells[0] * cells[1]) for times in (most, math.inf))
+    rows, columns = _lines(box, cells)
+    covered = float(seen[rows, columns].sum()) / max(float(seen.sum()), 1.0)
+    texels = (round(count * size[0] / _CELLS) if count >= _THINNEST else 0 for count in box)
+    known = float(seen[rows, columns].mean())
+    return Mosaic(Margins(*texels), size, covered, known, box != whole)
+
+
+def _box(seen: Marks, cells: tuple[int, int], most: float) -> list[int]:
+    """Cells left, right, above and below the first photograph's `cells` (across, down).
+
+    From the bounding box of visible cells, the side with the smallest visible share is cut off
+    until each has at least LEAST and the box at most `most` cells.
+    """
+    visible = seen.copy()
+    visible[_lines([0, 0, 0, 0], cells)] = True
+    (top, bottom), (left, right) = (
+        np.flatnonzero(visible.any(axis))[[0, -1]].tolist() for axis in (1, 0)
     )
-    top, bottom, left, right = (
-        round(count * size[0] / _CELLS) if count >= _THINNEST else 0 for count in beyond
-    )
-    covered = float(seen[box].sum()) / max(float(seen.sum()), 1.0)
-    margins = Margins(left, right, top, bottom)
-    return Mosaic(margins, size, covered, float(seen[box].mean()), limited)
+    box = [_FARTHEST - left, right + 1 - _FARTHEST - cells[0]]
+    box += [_FARTHEST - top, bottom + 1 - _FARTHEST - cells[1]]
+    while True:
+        rows, columns = _lines(box, cells)
+        inside = seen[rows, columns]
+        edges = (inside[:, 0], inside[:, -1], inside[0], inside[-1])
+        # Of equal shares the side that reaches farthest.
+        sides = [
+            (float(edge.mean()), -count, side)
+            for side, (edge, count) in enumerate(zip(edges, box, strict=True))
+            if count > 0
+        ]
+        if not sides or (inside.size <= most and min(sides)[0] >= LEAST):
+            return box
+        box[min(sides)[2]] -= 1
+
+
+def _lines(box: Sequence[int], cells: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of a box (left, right, above, below) around `cells` (across, down)."""
+    left, right, top, bottom = box
+    far = _FARTHEST
+    return slice(far - top, far + cells[1] + bottom), slice(far - left, far + cells[0] + right)
 
 
 def seen_by_any(views: Sequence[RegisteredView], mosaic: Mosaic) -> Tensor:
     """(H, W) bool on the mosaic: whether any flash photograph shows the texel."""
     width, height = mosaic.margins.around(mosaic.size)
-    seen = np.zeros((height, width), np.bool_)
-    for rows in strips(height, cached_rows(width)):
-        points = grid_points(width, height, mosaic.extent, rows)
-        seen[rows] = _any_sees(views, points)
-    return torch.from_numpy(seen)
+    parts = [
+        _any_sees(views, grid_points(width, height, mosaic.extent, rows))
+        for rows in strips(height, cached_rows(width))
+    ]
+    return torch.from_numpy(np.concatenate(parts))
 
 
 def _any_sees(views: Sequence[RegisteredView], points: Doubles) -> Marks:
@@ -172,51 +201,6 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
     return np.asarray(upright & near & (np.abs(u) < 1.0) & (np.abs(v) < up))
 
 
-def _cells(rows: int, size: tuple[int, int]) -> Doubles:
-    """(3, h, w) centres of cells, plane units: `rows` of them in the first photograph's grid of
-    (width, height), and _FARTHEST on each side of it.
-    """
-    across, up, far = 2.0 / _CELLS, size[1] / size[0], _FARTHEST
-    x = (np.arange(-far, _CELLS + far) + 0.5) * across - 1.0
-    beyond = up + (np.arange(far) + 0.5) * across
-    own = up - (np.arange(rows) + 0.5) * 2.0 * up / rows
-    y = np.concatenate([beyond[::-1], own, -beyond])
-    return np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.zeros((len(y), len(x)))])
-
-
-def _box(seen: Marks, rows: int, most: float) -> tuple[slice, slice]:
-    """Rows and columns of the box around visible cells, including the first photograph's.
-
-    The side with the smallest visible share is cut off until each has at least LEAST and the box at
-    most `most` cells.
-    """
-    own, far = (rows, _CELLS), _FARTHEST
-    visible = seen.copy()
-    visible[far : far + own[0], far : far + own[1]] = True
-    spans = [np.flatnonzero(visible.any(axis)) for axis in (1, 0)]
-    low = [int(span[0]) for span in spans]
-    high = [int(span[-1]) + 1 for span in spans]
-    while True:
-        sides = []
-        for axis, lines in ((0, seen), (1, seen.T)):
-            across = slice(low[1 - axis], high[1 - axis])
-            for edge, line, beyond in (
-                (low, low[axis], far - low[axis]),
-                (high, high[axis] - 1, high[axis] - far - own[axis]),
-            ):
-                if beyond > 0:
-                    share = float(lines[line, across].mean())
-                    sides.append((share, -beyond, axis, edge is low))
-        small = (high[0] - low[0]) * (high[1] - low[1]) <= most
-        if not sides or (small and min(sides)[0] >= LEAST):
-            return slice(low[0], high[0]), slice(low[1], high[1])
-        _, _, axis, lower = min(sides)
-        if lower:
-            low[axis] += 1
-        else:
-            high[axis] -= 1
-
-
 def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     """Extrapolate maps smoothly over unseen texels, and high-pass the height.
 
@@ -233,221 +217,135 @@ def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
-# Network predictions of each photograph of a mosaic, fused in the first one's frame.
-#
-# Each photograph is rectified to the plane facing its own camera, as in training, with the light
-# from registration. Predictions of a parameter, resampled to the first photograph's texels, are
-# averaged with weights 1 / sigma^2, sigma being the network's expected error. A share of their
-# error variance is a bias common to all predictions, which averaging does not reduce:
-#
-# variance = shared min sigma^2 + (1 - shared) / sum (1 / sigma^2).
+def own_plane(
+    camera: PosedCamera, light: SharedLight, number: int
+) -> tuple[FlashSetup, float, Callable[[Doubles], Doubles]]:
+    """The frame of the plane that faces a camera, within the first photograph's frame.
+
+    Returns:
+        Camera and flash of photograph `number` in this frame; its plane unit in the first
+        photograph's; and its (2, ...) coordinates of points (3, ...) of the first one's plane.
+    """
+    distance = camera.place[2] / camera.turn[2, 2]
+    origin = (camera.place - distance * camera.turn[2])[:2]
+    scale = float(distance / camera.lens.focal)
+    roll = math.atan2(-camera.turn[1, 0], camera.turn[1, 1])
+    c, s = math.cos(roll), math.sin(roll)
+    turn = camera.turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    x, y = (light.offset / scale).tolist()
+    lost, more = light.vignetting.tolist()
+    red, green, blue = (light.intensity * light.gain[number].exp() / scale**2).tolist()
+    setup = FlashSetup(
+        math.degrees(2.0 * math.atan(1.0 / camera.lens.focal)),
+        (x, y, 0.0),
+        (math.atan2(-turn[1, 2], turn[1, 1]), math.atan2(-turn[2, 0], turn[0, 0])),
+        (red, green, blue),
+        lost,
+        more,
+        light.centre,
+    )
+
+    def coordinates(points: Doubles) -> Doubles:
+        offset = points[:2] - origin.reshape(2, *(1,) * (points.ndim - 1))
+        return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / scale
+
+    return setup, scale, coordinates
 
 
-UNPREDICTED = 4.0  # log error of a prediction outside of its photograph
-_NOTHING = 1e-8  # weight of a prediction at its border, whose log error then exceeds UNPREDICTED
-
-Floats = NDArray[np.float32]
-
-# How predictions are fused; docs/notes/several.md.
-_ACROSS = 384  # texels across the grid of fusion; finer detail is the first photograph's
-_STEEPEST = 35.0  # largest tilt in the network's training, degrees
-_SHARED = 0.5  # share of the error variance that is common to all predictions
-# Width of the border along which weights fall to 0, as a share of the prediction's width.
-_FADES = 0.12
-
-
-@dataclass(frozen=True)
-class OwnPlane:
-    """Frame of the plane that faces a camera, within the first photograph's frame."""
-
-    setup: FlashSetup
-    """Camera and flash in this frame."""
-    origin: Doubles
-    """(2,) its origin in the first photograph's frame."""
-    scale: float
-    """Length of its plane unit in the first photograph's."""
-    roll: float
-    """Angle of its x axis to the first photograph's, radians anticlockwise."""
-
-    @staticmethod
-    def of(camera: PosedCamera, light: SharedLight, number: int) -> OwnPlane:
-        """Frame of photograph `number` with its camera and the shared light."""
-        distance = camera.place[2] / camera.turn[2, 2]
-        origin = (camera.place - distance * camera.turn[2])[:2]
-        scale = float(distance / camera.lens.focal)
-        roll = math.atan2(-camera.turn[1, 0], camera.turn[1, 1])
-        c, s = math.cos(roll), math.sin(roll)
-        turn = camera.turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        tilt = (math.atan2(-turn[1, 2], turn[1, 1]), math.atan2(-turn[2, 0], turn[0, 0]))
-        x, y = (light.offset / scale).tolist()
-        lost, more = light.vignetting.tolist()
-        strength = light.intensity * light.gain[number].exp() / scale**2
-        red, green, blue = strength.tolist()
-        setup = FlashSetup(
-            math.degrees(2.0 * math.atan(1.0 / camera.lens.focal)),
-            (x, y, 0.0),
-            tilt,
-            (red, green, blue),
-            lost,
-            more,
-            light.centre,
-        )
-        return OwnPlane(setup, origin, scale, roll)
-
-    def coordinates(self, points: Doubles) -> Doubles:
-        """(2, ...) coordinates in this frame of points (3, ...) of the first photograph's plane."""
-        c, s = math.cos(self.roll), math.sin(self.roll)
-        offset = points[:2] - self.origin.reshape(2, *(1,) * (points.ndim - 1))
-        return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / self.scale
-
-
-def predict_views(
+def predicted_beyond(
     alignment: Aligned,
     first: Estimate,
+    mosaic: Mosaic,
     coarse: CoarseFit,
     predict: Callable[[Plane, CoarseFit], Estimate],
-) -> list[Estimate]:
-    """The network's predictions of the photographs with flash and without too large a tilt.
+) -> Estimate:
+    """The first photograph's prediction, beyond it that of the others.
 
     Args:
         alignment: registration and light of the photographs.
-        first: prediction of the first, in the estimated frame.
+        first: the first one's prediction, extrapolated over the mosaic (spread_over).
+        mosaic: its extent.
         coarse: fit of the first, whose mean material all share.
         predict: predicts the maps of one photograph on its own plane.
-
-    Returns:
-        The predictions, the first one first, on its grid of fusion.
     """
-    extent = alignment.extent
-    width, height = first.maps.size
-    rectangle_across = min(_ACROSS, round(extent.unit(width)))
-    across = extent.across(rectangle_across)
-    down = round(height * across / width)
-    predictions = [first.resized((down, across), extent)]
+    texel_size, parameters = first.maps.texel_size, parameters_of(first.maps)
+    others, errors = torch.zeros_like(parameters), torch.zeros_like(first.log_error)
+    total = torch.zeros(parameters.shape[1:])
     for number, view in enumerate(alignment.views[1:], 1):
-        if view.flash and math.degrees(view.camera.tilt) < _STEEPEST:
-            own = OwnPlane.of(view.camera, alignment.light, number)
-            plane = read_plane(view.photo, own.setup, rectangle_across)
-            prediction = predict(plane, replace(coarse, setup=own.setup))
-            warp = alignment.warps[number]
-            over = resampled_over(prediction, own, view.camera, warp, (across, down))
-            predictions.append(over)
-    return predictions
+        if view.flash and math.degrees(view.camera.tilt) < _STEEPEST_PREDICTED:
+            own = own_plane(view.camera, alignment.light, number)
+            plane = read_plane(view.photo, own[0], mosaic.size[0])
+            prediction = predict(plane, replace(coarse, setup=own[0]))
+            over, error, weight = resampled(prediction, own, alignment, number, first.maps.size)
+            count = max(len(others), len(over))
+            others = with_channels(others, count) + weight * with_channels(over, count)
+            errors, total = errors + weight * error, total + weight
+    inside = mosaic.margins.own(mosaic.size).numpy().astype(np.uint8)
+    within = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, 3), np.float32)
+    # Where nothing is predicted, at the outermost borders, the extrapolated first one is left.
+    share = (1.0 - torch.from_numpy(_faded(within, mosaic.size[0]))) * (8.0 * total).clamp_max(1.0)
+    total = total.clamp_min(1e-6)
+    parameters = torch.lerp(with_channels(parameters, len(others)), others / total, share)
+    height = integrated(parameters[SLOPES], texel_size)
+    log_error = torch.lerp(first.log_error, errors / total, share)
+    return Estimate(maps_of(parameters, height, texel_size), log_error)
 
 
-def resampled_over(
+def with_channels(parameters: Tensor, count: int) -> Tensor:
+    """Parameters of `count` rows: with those of a tint, 0 where they had none."""
+    return F.pad(parameters, (0, 0, 0, 0, 0, count - len(parameters)))
+
+
+def resampled(
     prediction: Estimate,
-    own: OwnPlane,
-    camera: PosedCamera,
-    warp: ViewWarp,
+    own: tuple[FlashSetup, float, Callable[[Doubles], Doubles]],
+    alignment: Aligned,
+    number: int,
     size: tuple[int, int],
-) -> Estimate:
-    """Resample a prediction from its photograph's own plane to the first one's.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Resample photograph `number`'s prediction from its own plane to the first one's.
 
     Args:
         prediction: the network's, on its photograph's plane.
-        own: frame of its plane.
-        camera: of its photograph.
-        warp: of its photograph, by registration.
-        size: (across, down) texels of the first one's grid.
+        own: frame of its plane (own_plane).
+        alignment: registration of the photographs.
+        number: of the photograph.
+        size: (across, down) texels of the grid.
+
+    Returns:
+        Parameters, log errors (4, H, W), and weights (H, W).
     """
-    width, height = prediction.maps.size
+    _, scale, coordinates = own
+    camera, warp = alignment.views[number].camera, alignment.warps[number]
     points = np.concatenate([*warp.points(*size)], axis=1)
-    x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(points))), width, height)
+    width, height = prediction.maps.size
+    x, y = to_pixels(coordinates(camera.on_plane(camera.sees(points))), width, height)
 
-    def resampled(channel: Tensor, how: int = cv2.INTER_CUBIC) -> Tensor:
-        return torch.from_numpy(
-            cv2.remap(channel.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101)
-        )
+    def over(planes: Tensor, how: int) -> Tensor:
+        each = (cv2.remap(p.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101) for p in planes)
+        return torch.from_numpy(np.stack(list(each)))
 
+    # Slopes are those of the resampled height: axes of the two planes differ.
     maps = prediction.maps
-    logs = torch.cat([maps.diffuse.clamp_min(1e-3).log(), maps.specular.clamp_min(5e-3).log()])
-    stacked = torch.stack([resampled(c) for c in torch.cat([logs, maps.roughness, maps.height])])
-    log_albedo, log_f0, roughness, relief = stacked.split([3, len(stacked) - 5, 1, 1])
-    texel_size = warp.extent.texel(size[0])
-    over = MapSet(log_albedo.exp(), log_f0.exp(), roughness, own.scale * relief, texel_size)
-    errors = torch.stack([resampled(c, cv2.INTER_LINEAR) for c in prediction.log_error])
-    errors = (errors + torch.from_numpy(_fading(x, y, (width, height)))).clamp_max(UNPREDICTED)
-    return Estimate(over, errors)
-
-
-def _fading(x: Floats, y: Floats, size: tuple[int, int]) -> Floats:
-    """(H, W) added to log errors: weights then fall smoothly to 0 at a prediction's border."""
-    width, height = size
+    height_over = scale * over(maps.height, cv2.INTER_CUBIC)
+    parameters = over(parameters_of(maps), cv2.INTER_LINEAR)
+    parameters[SLOPES] = slopes_of(height_over, warp.extent.texel(size[0]))
     within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
+    weight = torch.from_numpy(_faded(within, width))
+    return parameters, over(prediction.log_error, cv2.INTER_LINEAR), weight
+
+
+def _faded(within: NDArray[np.float32], width: int) -> NDArray[np.float32]:
+    """(H, W) weights that rise smoothly from 0 to 1 with the distance to a border, in texels."""
     share = (within / (_FADES * width)).clip(0.0, 1.0)
-    weight = share**2 * (3.0 - 2.0 * share)
-    return np.asarray(-0.5 * np.log(np.maximum(weight, _NOTHING)), np.float32)
-
-
-def fused(predictions: Sequence[Estimate]) -> Estimate:
-    """Precision-weighted mean of predictions and its standard deviations (module equation).
-
-    Args:
-        predictions: in any order.
-    """
-    weights = _precisions(predictions)
-    whole = weights.sum(0)
-    channels = max(len(prediction.maps.specular) for prediction in predictions)
-    parameters = torch.stack([_parameters(prediction, channels) for prediction in predictions])
-    mean = torch.zeros_like(parameters[0])
-    for part, kind in ((ALBEDO, 0), (F0, 1), (ROUGH, 2), (SLOPES, 3), (TINT, 1)):
-        for one, weight in zip(parameters, weights, strict=True):
-            mean[part] += weight[kind] / whole[kind] * one[part]
-    log_error = _fused_error(weights)
-    slope_precision = (-2.0 * log_error[3]).exp()
-    texel_size = predictions[0].maps.texel_size
-    precision = torch.stack([slope_precision, slope_precision, torch.zeros_like(slope_precision)])
-    height = surface_of(mean[SLOPES], texel_size, precision)
-    return Estimate(maps_of(mean, height, texel_size), log_error)
-
-
-def _parameters(prediction: Estimate, channels: int) -> Tensor:
-    """(PARAMETERS or more, H, W) parameters of a prediction with this many channels of F0."""
-    maps = prediction.maps
-    specular = maps.specular.expand(channels, -1, -1) if len(maps.specular) == 1 else maps.specular
-    return parameters_of(replace(maps, specular=specular))
-
-
-def _precisions(predictions: Sequence[Estimate]) -> Tensor:
-    """(n, 4, H, W) 1 / sigma^2 of predictions."""
-    return torch.stack([(-2.0 * one.log_error.clamp(-8.0, 8.0)).exp() for one in predictions])
-
-
-def _fused_error(precisions: Tensor) -> Tensor:
-    """(4, H, W) log standard deviation of the mean of predictions (n, 4, H, W)."""
-    # The common part of the error variance is that of the best prediction.
-    common = precisions.amax(0).reciprocal()
-    return 0.5 * (_SHARED * common + (1.0 - _SHARED) / precisions.sum(0)).log()
-
-
-def with_others(first: Estimate, predictions: Sequence[Estimate]) -> Estimate:
-    """The first photograph's prediction plus the upsampled change by fusion with the others.
-
-    Detail finer than the grid of fusion stays the first photograph's. Its predicted height does not
-    extend beyond it: slopes are integrated.
-
-    Args:
-        first: prediction of the first photograph.
-        predictions: of all photographs on the grid of fusion, the first one first.
-    """
-    together, alone = fused(predictions), _fused_error(_precisions(predictions[:1]))
-
-    def wide(change: Tensor) -> Tensor:
-        return F.interpolate(change[None], size=first.maps.size[::-1], mode="bilinear")[0]
-
-    channels, texel_size = len(together.maps.specular), first.maps.texel_size
-    change = _parameters(together, channels) - _parameters(predictions[0], channels)
-    parameters = _parameters(first, channels) + wide(change)
-    height = integrated(parameters[SLOPES], texel_size)
-    log_error = first.log_error + wide(together.log_error - alone)
-    return Estimate(maps_of(parameters, height, texel_size), log_error)
+    return np.asarray(share**2 * (3.0 - 2.0 * share), np.float32)
 
 
 def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
     """Extrapolate the first photograph's estimate smoothly over the margins.
 
-    Its error there is the standard deviation of the parameters within the first photograph.
+    Its error there is the standard deviation of the parameters within the first photograph, errors
+    included.
 
     Args:
         prediction: on the first photograph's grid.
@@ -456,23 +354,12 @@ def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
     if not margins.any:
         return prediction
     own = margins.own(prediction.maps.size)
-    known = own.numpy()
     padded = margins.padded(prediction.maps.stacked().float()).numpy()
-    wide = torch.from_numpy(np.stack([filled(plane, known) for plane in padded]))
-    beyond = scatter(prediction)[:, None, None]
+    wide = torch.from_numpy(np.stack([filled(plane, own.numpy()) for plane in padded]))
+    parameters = parameters_of(prediction.maps)
+    parts = (parameters[ALBEDO].mean(0), parameters[LOG_F0], parameters[ROUGH], parameters[SLOPES])
+    variance = torch.stack([part.var() for part in parts])
+    variance += (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
+    beyond = 0.5 * variance.log()[:, None, None]
     log_error = torch.where(own, margins.padded(prediction.log_error), beyond)
     return Estimate(MapSet.from_stacked(wide, prediction.maps.texel_size), log_error)
-
-
-def scatter(prediction: Estimate) -> Tensor:
-    """(4,) log standard deviation over the exemplar of each map's parameter, errors included."""
-    parameters = parameters_of(prediction.maps)
-    parts = (parameters[ALBEDO].mean(0), parameters[F0], parameters[ROUGH], parameters[SLOPES])
-    variance = torch.stack([part.std() for part in parts]).square()
-    error_variance = (2.0 * prediction.log_error.clamp(-8.0, 2.0)).exp().mean((1, 2))
-    return 0.5 * (variance + error_variance).log()
-
-
-def unpredicted(log_error: Tensor, mosaic: Mosaic) -> Tensor:
-    """Log errors (4, H, W) set to UNPREDICTED beyond the first photograph."""
-    return torch.where(mosaic.margins.own(mosaic.size), log_error, torch.tensor(UNPREDICTED))

@@ -37,17 +37,8 @@ from matcap.capture.exemplar.relief_spectrum import (
 from matcap.capture.multiview.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
 from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
-from matcap.capture.registration.camera import (
-    Doubles,
-    PosedCamera,
-    camera_of,
-    grid_points,
-    to_pixels,
-    transformed,
-)
-from matcap.capture.registration.register import RegisteredView
-from matcap.flash.geometry import FlashSetup
-from matcap.photo.left_out import area_averaged
+from matcap.capture.registration.camera import Doubles, camera_of, grid_points, transformed
+from matcap.capture.registration.keypoints import log_on_grid
 
 Floats = NDArray[np.float32]
 
@@ -68,59 +59,36 @@ _FINEST = 4.0  # wavelength, texels, below which bands keep their predicted ener
 _SLOW = 16.0
 
 
-def on_albedo(views: Views, setup: FlashSetup, prediction: MapSet) -> Views:
+def on_albedo(views: Views, prediction: MapSet) -> Views:
     """Refit the camera of the photograph without flash on predicted albedo.
 
     Args:
         views: registered by features.
-        setup: coarse fit of the first photograph.
-        prediction: the network's maps of the first photograph, on its plane in that setup.
+        prediction: the network's maps of the first photograph, on the plane of its camera.
 
     Returns:
         `views`, unchanged if none is without flash, or its correlation is too small.
     """
-    first, ambient = views[0], views[-1]
+    ambient, (across, down) = views[-1], prediction.size
     if ambient.flash:
         return views
     if ambient.misregistration < _CERTAIN * prediction.texel_size:
         return (*views[:-1], replace(ambient, misregistration=_PIXEL))
-    predicted = PosedCamera.of(setup)
-
-    def on_plane(points: Doubles) -> Doubles:
-        """Points of the prediction's plane on that of the registered camera."""
-        return first.camera.on_plane(predicted.sees(points))
-
-    grid = grid_points(*prediction.size)
-    albedo = _normalised(prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy())
-    photograph = _normalised(_looked_up(ambient, ambient.camera.sees(on_plane(grid))))
-    homography = _correlated(albedo, photograph)
+    albedo = prediction.diffuse.clamp_min(1e-3).log().mean(0).numpy()
+    wide = min(ambient.photo.pixels.shape[1], 2 * across)
+    size, linear = prediction.size, cv2.INTER_LINEAR
+    photograph, _ = log_on_grid(ambient.photo, ambient.camera, size, wide, 1e-4, linear)
+    homography = _correlated(_normalised(albedo), _normalised(photograph))
     if homography is None:
         return views
+    to_plane = np.diag([2.0 / across, -2.0 / across, 1.0])
+    to_plane[:2, 2] = (1.0 - across) / across, (down - 1.0) / across
     thin = slice(None, None, _THINNED)
-    points = grid[:, thin, thin].reshape(3, -1)
-    image = ambient.camera.sees(on_plane(_moved(points, homography, prediction.size)))
-    camera = camera_of(on_plane(points), image, ambient.camera.lens, refined=True)
+    points = grid_points(across, down)[:, thin, thin].reshape(3, -1)
+    moved = transformed(to_plane @ homography @ np.linalg.inv(to_plane), points[:2])
+    image = ambient.camera.sees(np.concatenate([moved, points[2:]]))
+    camera = camera_of(points, image, ambient.camera.lens, refined=True)
     return (*views[:-1], replace(ambient, camera=camera, misregistration=_PIXEL))
-
-
-def _moved(points: Doubles, homography: Floats, size: tuple[int, int]) -> Doubles:
-    """Move plane points (3, n) by a homography of the texels of a grid of (across, down)."""
-    across, down = size
-    texels = np.stack([0.5 * (points[0] + 1.0) * across, 0.5 * (down - points[1] * across)]) - 0.5
-    x, y = transformed(homography.astype(np.float64), texels) + 0.5
-    return np.stack([x * 2.0 / across - 1.0, (down - 2.0 * y) / across, np.zeros_like(x)])
-
-
-def _looked_up(view: RegisteredView, image: Doubles) -> Floats:
-    """(h, w) channel mean of a photograph's log radiance at image coordinates (2, h, w)."""
-    pixels = view.photo.pixels
-    rows, columns = pixels.shape[:2]
-    shrink = min(1.0, 2.0 * image.shape[2] / columns)
-    size = (round(columns * shrink), round(rows * shrink))
-    log = np.log(np.maximum(area_averaged(pixels, size), 1e-4)).mean(2)
-    x, y = to_pixels(image, *size)
-    looked_up = cv2.remap(log, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
-    return np.asarray(looked_up, np.float32)
 
 
 def _normalised(log: Floats) -> Floats:

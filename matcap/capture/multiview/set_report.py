@@ -109,21 +109,20 @@ def leave_one_out(
         alone: maps by the first photograph.
         begun: its light, as its coarse fit has it.
     """
-    width, height = prediction.maps.size
-    across = min(alignment.extent.across(_ACROSS), width)
-    down = round(height * across / width)
-    small, own = (each.resized((down, across), alignment.extent) for each in (prediction, alone))
-    views = alignment.on_grid(across, down)
+    extent = alignment.extent
+    small, own, by_all = (
+        each.coarser(_ACROSS, extent) for each in (prediction, alone, solved.estimate)
+    )
+    views, whole = alignment.on_grid(*small.maps.size), replace(solved, estimate=by_all)
     lit = [number for number, view in enumerate(views) if view.flash]
     if len(lit) < 2:
         return LeaveOneOut((), ())
-    by_all = replace(solved, estimate=solved.estimate.resized((down, across), alignment.extent))
     by_others, by_first = [math.nan] * len(views), [math.nan] * len(views)
     pictures = []
     for left_out in lit:
         kept = [number for number in range(len(views)) if number != left_out]
-        some, light = [views[number] for number in kept], by_all.light.of_some(kept)
-        without = solve(some, small, light, by_all, rounds=_WITHOUT, sampled=_SAMPLED)
+        some, light = [views[number] for number in kept], solved.light.of_some(kept)
+        without = solve(some, small, light, whole, rounds=_WITHOUT, sampled=_SAMPLED)
         by_others[left_out], foretold = left_out_residual(
             views[left_out], without.maps, without.light
         )
@@ -250,14 +249,9 @@ class SetReport:
 
 # Diagram of cameras and lights over the sample, with each photograph's residuals.
 
-
-Doubles = NDArray[np.float64]
-CodeTriple = tuple[int, int, int]
-
 # sRGB code values.
-_INK, _FAINT, _PAPER = (225, 225, 225), (110, 110, 110), (24, 24, 24)
-_FLASH, _LEFT_OUT = (255, 214, 90), (255, 110, 100)
-_CAMERAS: tuple[CodeTriple, ...] = (
+_INK, _PAPER, _FLASH, _LEFT_OUT = (225, 225, 225), (24, 24, 24), (255, 214, 90), (255, 110, 100)
+_CAMERAS = (
     (120, 200, 255), (140, 230, 150), (255, 170, 110), (225, 150, 255), (255, 235, 130),
     (130, 225, 225), (255, 150, 170), (190, 190, 255),
 )  # fmt: skip
@@ -267,67 +261,46 @@ _LINE, _LETTER = 24, 8  # height of a line of text and width of a letter, pixels
 _TRIPLES = 3  # predictions of photographs side by side
 
 
-@dataclass(frozen=True)
-class _View:
-    """A camera of the diagram, in plane units."""
-
-    number: int
-    """Number of its photograph, from 1."""
-    place: Doubles
-    """(3,) position of the camera."""
-    flash: Doubles | None
-    """(3,) position of its flash, or None."""
-    seen: Doubles
-    """(3, 4) corners of its picture on the plane."""
-
-    @property
-    def colour(self) -> CodeTriple:
-        return _colour(self.number)
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """Map from a rectangle in plane units, y upwards, to a drawing of width x height pixels."""
-
-    low: Doubles
-    high: Doubles
-    width: int
-    height: int
-
-    @staticmethod
-    def around(points: Doubles, width: int, height: int) -> _Frame:
-        """The map that shows all points (2, n), with a margin."""
-        low, high = points.min(axis=1), points.max(axis=1)
-        margin = _MARGIN * float((high - low).max())
-        return _Frame(low - margin, high + margin, width, height)
-
-    def at(self, point: Doubles) -> tuple[float, float]:
-        """Pixel of a point (2,)."""
-        across, up = self.high - self.low
-        scale = min(self.width / across, self.height / up)
-        x, y = scale * (point - 0.5 * (self.low + self.high))
-        return 0.5 * self.width + float(x), 0.5 * self.height - float(y)
-
-
 def draw_set(report: SetReport, exemplar: NDArray[np.float32], width: int) -> Image.Image:
-    """Draw cameras and lights of a set, from above and from the side.
+    """Draw the sample with the cameras and flashes above it, and the report's lines.
 
     Args:
         report: cameras and residuals.
         exemplar: (H, W, 3) the exemplar from above, sRGB code values in [0, 1].
         width: of the picture, pixels.
     """
-    extent = report.mosaic.extent
-    half = extent.half * np.array([[1.0], [exemplar.shape[0] / exemplar.shape[1]]])
-    # x and y of the exemplar's bottom left and top right corner, plane units.
-    rim = np.array(extent.middle)[:, None] + half * np.array([[-1.0, 1.0]])
-    views, part, tall = list(_views(report)), width // 3, width // 4
-    parts = (
-        _from_above(views, exemplar, rim, part, tall),
-        _from_the_side(views, rim, part, tall),
-        _text(report, width - 2 * part, tall),
-    )
-    return Image.fromarray(np.hstack([np.asarray(picture) for picture in parts]))
+    part, tall, extent = width // 3, width // 4, report.mosaic.extent
+    cameras = [view.camera for view in report.views]
+    flashes = [camera.flash(report.flash_offset) for camera in cameras]
+    half = extent.half * np.array([1.0, exemplar.shape[0] / exemplar.shape[1]])
+    places = np.array([*(camera.place for camera in cameras), *flashes])[:, :2] - extent.middle
+    # Pixels per plane unit at which the sample and all that is above it are shown.
+    reach = (1.0 + _MARGIN) * np.maximum(half, np.abs(places).max(0))
+    scale = 0.5 * min(part / reach[0], tall / reach[1])
+    sheet, ink = _blank(width, tall, "from above")
+    centre, size = 0.5 * np.array([part, tall]), np.rint(2.0 * scale * half).astype(int)
+    codes = np.rint(np.clip(exemplar, 0.0, 1.0) * 255.0).astype(np.uint8)
+    shown = Image.fromarray(codes).resize(tuple(size.tolist()))
+    sheet.paste(shown, tuple(np.rint(centre - 0.5 * size).astype(int).tolist()))
+    above = [tuple(place) for place in (centre + scale * places * [1.0, -1.0]).tolist()]
+    font = ImageFont.load_default(size=14)
+    for number, (view, place) in enumerate(zip(report.views, above, strict=False), 1):
+        ink.circle(place, _ROUND, fill=_colour(number))
+        ink.text(place, str(number), fill=_PAPER, font=font, anchor="mm")
+        if view.flash:
+            ink.circle(above[len(cameras) + number - 1], _SPARK, fill=_FLASH, outline=_PAPER)
+    _write(report, ink, part + _ROUND, width)
+    return sheet
+
+
+def _write(report: SetReport, ink: ImageDraw.ImageDraw, left: int, right: int) -> None:
+    """Write the report's lines, each in the colour of its photograph."""
+    font, y = ImageFont.load_default(size=14), 2 * _LINE
+    for text, number in set_report_lines(report):
+        colour = _INK if number is None else _colour(number) if number else _LEFT_OUT
+        for line in textwrap.wrap(text, (right - left - _ROUND) // _LETTER):
+            ink.text((left, y), line, fill=colour, font=font)
+            y += _LINE - 4
 
 
 def draw_foretold(report: SetReport, width: int, *, turned: bool) -> Image.Image:
@@ -389,77 +362,9 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
         yield report.mosaic.summary(), None
 
 
-def _colour(number: int) -> CodeTriple:
+def _colour(number: int) -> tuple[int, int, int]:
     """Colour of the photograph of a number, from 1."""
     return _CAMERAS[(number - 1) % len(_CAMERAS)]
-
-
-def _views(report: SetReport) -> Iterator[_View]:
-    across, down = report.mosaic.size
-    high = down / across  # of the first photograph, over its width
-    corners = np.array([[-1.0, 1.0, 1.0, -1.0], [high, high, -high, -high]])
-    for number, view in enumerate(report.views, 1):
-        camera = view.camera
-        light = camera.flash(report.flash_offset) if view.flash else None
-        yield _View(number, camera.place, light, camera.on_plane(corners))
-
-
-def _from_above(
-    views: list[_View], exemplar: NDArray[np.float32], rim: Doubles, width: int, height: int
-) -> Image.Image:
-    points = [rim]
-    for view in views:
-        places = [view.place] if view.flash is None else [view.place, view.flash]
-        points += [view.seen[:2], *(place[:2, None] for place in places)]
-    frame = _Frame.around(np.concatenate(points, axis=1), width, height)
-    sheet, ink = _blank(width, height, "from above")
-    (left, bottom), (right, top) = frame.at(rim[:, 0]), frame.at(rim[:, 1])
-    size = max(1, round(right - left)), max(1, round(bottom - top))
-    codes = np.rint(np.clip(exemplar, 0.0, 1.0) * 255.0).astype(np.uint8)
-    sheet.paste(Image.fromarray(codes).resize(size), (round(left), round(top)))
-    for view in views:
-        outline = [frame.at(corner) for corner in view.seen[:2].T]
-        ink.line([*outline, outline[0]], fill=view.colour, width=2)
-    for view in views:
-        _camera(ink, view, frame, (0, 1))
-    return sheet
-
-
-def _from_the_side(views: list[_View], rim: Doubles, width: int, height: int) -> Image.Image:
-    sheet, ink = _blank(width, height, "from the side")
-    ends = np.array([rim[0], [0.0, 0.0]])
-    points = [np.column_stack([view.place, view.seen])[[0, 2]] for view in views]
-    frame = _Frame.around(np.concatenate([ends, *points], axis=1), width, height)
-    ink.line([frame.at(ends[:, 0]), frame.at(ends[:, 1])], fill=_INK, width=3)
-    for view in views:
-        for edge in (view.seen[0].min(), view.seen[0].max()):
-            ink.line([frame.at(view.place[[0, 2]]), frame.at(np.array([edge, 0.0]))], fill=_FAINT)
-    for view in views:
-        _camera(ink, view, frame, (0, 2))
-    return sheet
-
-
-def _text(report: SetReport, width: int, height: int) -> Image.Image:
-    sheet, ink = _blank(width, height, "error of each photograph")
-    font = ImageFont.load_default(size=14)
-    y = 2 * _LINE
-    for text, number in set_report_lines(report):
-        colour = _INK if number is None else _colour(number) if number else _LEFT_OUT
-        for line in textwrap.wrap(text, (width - 2 * _ROUND) // _LETTER):
-            ink.text((_ROUND, y), line, fill=colour, font=font)
-            y += _LINE - 4
-    return sheet
-
-
-def _camera(ink: ImageDraw.ImageDraw, view: _View, frame: _Frame, axes: tuple[int, int]) -> None:
-    x, y = frame.at(view.place[list(axes)])
-    ink.ellipse([x - _ROUND, y - _ROUND, x + _ROUND, y + _ROUND], fill=view.colour)
-    font = ImageFont.load_default(size=14)
-    ink.text((x, y), str(view.number), fill=_PAPER, font=font, anchor="mm")
-    if view.flash is None:
-        return
-    x, y = frame.at(view.flash[list(axes)])
-    ink.ellipse([x - _SPARK, y - _SPARK, x + _SPARK, y + _SPARK], fill=_FLASH, outline=_PAPER)
 
 
 def _blank(width: int, height: int, label: str) -> tuple[Image.Image, ImageDraw.ImageDraw]:

@@ -14,17 +14,18 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-import torch.nn.functional as F
+import torch.nn.functional as functional
 from torch import Tensor
 
+from matcap.brdf.cook_torrance import ALBEDO, F0
 from matcap.capture.multiview.texels import (
     GLOSS,
     HUES,
     PARAMETERS,
     ParameterPrior,
     derivatives,
-    jacobian,
     log_rendered,
+    normal_equations,
     points_of,
     solved_in_place,
     weights,
@@ -35,8 +36,6 @@ from matcap.capture.registration.camera import Doubles
 from matcap.flash.geometry import OWN
 from matcap.flash.light import DifferentiableLight
 
-# Fourth-order derivative, twelvefold: weights of texels this far away.
-_FOURTH = ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0))
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
 
 # Estimation of the shared parameters; docs/notes/several.md.
@@ -56,8 +55,7 @@ _ALBEDO_DEVIATION = 1.0
 # Share of the prior deviations of gloss where one photograph alone has flash, which the prediction
 # has already used.
 _KNOWN_GLOSS = 0.01
-# Prior standard deviation of the log gain of a photograph; and if no texel of a mosaic is in two.
-_GAIN, _SEPARATE_GAIN = 1.5, 0.03
+_GAIN = 1.5  # prior standard deviation of the log gain of a photograph
 
 
 class _SharedParameters(NamedTuple):
@@ -93,7 +91,7 @@ class _SharedParameters(NamedTuple):
     def onto(self, light: SharedLight) -> SharedLight:
         """`light` with these parameters."""
         offset, vignetting, gloss, gain, _ = (part.float() for part in self)
-        gain = F.pad(gain, (0, 0, 1, 0))
+        gain = functional.pad(gain, (0, 0, 1, 0))
         return replace(light, offset=offset, vignetting=vignetting, gloss=gloss, gain=gain)
 
 
@@ -117,15 +115,15 @@ def shared_step(
         sampled: texels to which the parameters are fitted.
         moved: indices of photographs to register; the others get the identity.
     """
-    chosen, joined = _chosen(views, sampled)
+    chosen = _chosen(views, sampled)
     some = parameters.flatten(1)[:, chosen]
     start = _SharedParameters.of(light, moving=bool(moved))
     some_prior = prior.at(chosen)
     if sum(view.flash for view in views) > 2:
-        some_prior = some_prior.with_least_albedo(_ALBEDO_DEVIATION)
+        some_prior = some_prior.with_least(ALBEDO, _ALBEDO_DEVIATION)
     problem = _SharedFit.of(views, chosen, some_prior, light, start)
     values = start.vector()
-    deviations = _deviations(views, light, start, prior, moved, joined).vector()
+    deviations = _deviations(views, light, start, prior, moved).vector()
     # Prior means of gloss and flash offset are always the prediction's and the coarse fit's.
     flash = light.coarse_offset.double()
     expected = start._replace(gloss=torch.zeros_like(start.gloss), offset=flash).vector()
@@ -156,33 +154,28 @@ def _deviations(
     start: _SharedParameters,
     prior: ParameterPrior,
     moved: Collection[int],
-    joined: bool,
 ) -> _SharedParameters:
-    """Prior standard deviations; `joined` is whether two photographs show a common texel."""
+    """Prior standard deviations."""
     one_flash = sum(view.flash for view in views) == 1
     moves = [_MISREGISTRATION if number in moved else 1e-9 for number in range(1, len(views))]
     return _SharedParameters(
         torch.full_like(start.offset, _OFFSET_DEVIATION),
         torch.tensor(light.vignetting_deviation, dtype=torch.float64),
         (_KNOWN_GLOSS * prior.gloss_deviation if one_flash else prior.gloss_deviation).double(),
-        torch.full_like(start.gain, _GAIN if joined else _SEPARATE_GAIN),
+        torch.full_like(start.gain, _GAIN),
         torch.tensor(moves, dtype=torch.float64)[:, None].expand(start.move.shape),
     )
 
 
-def _chosen(views: Sequence[ResampledView], count: int) -> tuple[Tensor, bool]:
-    """(1, count) random texel indices, and whether two photographs show a common texel.
-
-    In a mosaic, only texels that two photographs show are drawn, if there are any.
-    """
+def _chosen(views: Sequence[ResampledView], count: int) -> Tensor:
+    """(1, count) random texel indices; in a mosaic, of texels that two photographs show."""
     generator = torch.Generator().manual_seed(0)
-    every = views[0].log[0].numel()
-    chosen = torch.randint(every, (1, count), generator=generator)
+    chosen = torch.randint(views[0].log[0].numel(), (1, count), generator=generator)
     if views[0].extent == OWN:
-        return chosen, True
+        return chosen
     shared = torch.stack([view.seen.all(0) for view in views]).sum(0) > 1
     places = shared.flatten().nonzero()[:, 0]
-    return (places[chosen % len(places)], True) if len(places) else (chosen, False)
+    return places[chosen % len(places)] if len(places) else chosen
 
 
 def _gradient(log: Tensor, chosen: Tensor, texel: float) -> tuple[Tensor, Tensor]:
@@ -196,18 +189,11 @@ def _gradient(log: Tensor, chosen: Tensor, texel: float) -> tuple[Tensor, Tensor
         chosen: (1, N) indices of texels.
         texel: side of a texel, plane units.
     """
-    height, width = log.shape[1:]
-    row, column = chosen // width, chosen % width
-
-    def mirrored(index: Tensor, side: int) -> Tensor:
-        return side - 1 - (side - 1 - index.abs()).abs()
-
-    dx, dy = torch.zeros(2, 3, *chosen.shape)
-    for offset, weight in _FOURTH:
-        dx += weight * log[:, row, mirrored(column + offset, width)]
-        dy += weight * log[:, mirrored(row - offset, height), column]
-    spacing = 12.0 * texel
-    return dx / spacing, dy / spacing
+    right = torch.tensor([1.0, -8.0, 0.0, 8.0, -1.0])[None, None, None] / (12.0 * texel)
+    padded = functional.pad(log[:, None], (2, 2, 2, 2), mode="reflect")
+    dx = functional.conv2d(padded[..., 2:-2, :], right)
+    dy = -functional.conv2d(padded[..., 2:-2], right.mT)
+    return dx.flatten(1)[:, chosen], dy.flatten(1)[:, chosen]
 
 
 @dataclass(frozen=True)
@@ -218,15 +204,9 @@ class _Equations:
     """
 
     texels: Tensor
-    """(PARAMETERS, PARAMETERS, N) A."""
-    coupling: Tensor
-    """(PARAMETERS, n, N) B."""
-    right: Tensor
-    """(PARAMETERS, N) a."""
+    """(PARAMETERS + 1 + n, PARAMETERS, N) lower triangles of A, then a, then B^T."""
     shared: Tensor
-    """(n, n) C, double precision."""
-    shared_right: Tensor
-    """(n,) c, double precision."""
+    """(n, n + 1) C and, as the last column, c; double precision."""
 
     @staticmethod
     def of_prior(prior: ParameterPrior, some: Tensor, values: Tensor, gloss: Tensor) -> _Equations:
@@ -239,51 +219,58 @@ class _Equations:
             gloss: (K, 2 or 4) indices of _SharedParameters.gloss.
         """
         precision, count = prior.precision[:, 0], len(values)
-        shares, shared = prior.shares[:, 0], torch.zeros(count, count, dtype=torch.float64)
-        right = precision * (prior.mean - some)[:PARAMETERS, 0]
+        shares, shared = prior.shares[:, 0], torch.zeros(count, count + 1, dtype=torch.float64)
+        texels = torch.zeros(PARAMETERS + 1 + count, PARAMETERS, some.shape[-1])
+        texels.diagonal().T.copy_(precision)
+        right = texels[PARAMETERS]
+        right += precision * (prior.mean - some)[:PARAMETERS, 0]
         right[GLOSS] += precision[GLOSS] * (values[gloss[:, :2]].float().T @ shares)
-        coupling = torch.zeros(PARAMETERS, count, some.shape[-1])
-        shared_right = torch.zeros(count, dtype=torch.float64)
         for row, own in zip(range(PARAMETERS)[GLOSS], gloss[:, :2].T, strict=True):
             weighted = shares * precision[row]
-            coupling[row, own] = -weighted
+            texels[PARAMETERS + 1 + own, row] = -weighted
             shared[own[:, None], own] = weighted.double() @ shares.double().T
-            shared_right[own] = -(shares.double() @ right[row].double())
-        texels = torch.diag_embed(precision.T).movedim(0, -1).contiguous()
-        return _Equations(texels, coupling, right, shared, shared_right)
+            shared[own, -1] = -(shares.double() @ right[row].double())
+        return _Equations(texels, shared)
 
-    def add(
-        self, by_texel: Tensor, by_shared: Tensor, indices: Tensor, weight: Tensor, residual: Tensor
-    ) -> None:
+    def add(self, of_texels: Sequence[Tensor], by_shared: Tensor, indices: Tensor) -> None:
         """Add the equations of a photograph.
 
         Args:
-            by_texel: (PARAMETERS, 3, N) derivatives of log radiance by the texel's parameters.
-            by_shared: (k, 3, N) derivatives by some shared parameters.
+            of_texels: arguments of normal_equations.
+            by_shared: (k, 3, N) derivatives of log radiance by some shared parameters.
             indices: (k,) of these.
-            weight, residual: (3, N) of log radiance.
         """
-        weighted = by_texel * weight
-        self.texels.add_((weighted[:, None] * by_texel).sum(2))
-        self.right.add_((weighted * residual).sum(1))
-        self.coupling[:, indices] += (weighted[:, None] * by_shared).sum(2)
-        weighted_shared = (by_shared * weight).double().flatten(1)
-        self.shared[indices[:, None], indices] += weighted_shared @ by_shared.double().flatten(1).T
-        self.shared_right[indices] += weighted_shared @ residual.double().flatten()
+        residual, weight, share, by_others = of_texels
+        self.texels[: PARAMETERS + 1] += normal_equations(*of_texels)
+        weighted, rows = by_shared * weight, PARAMETERS + 1 + indices
+        self.texels[rows, :F0] += weighted * share
+        for column, by_other in enumerate(by_others, F0):
+            self.texels[rows, column] += (weighted * by_other).sum(1)
+        both = torch.cat([by_shared, residual[None]]).double().flatten(1)
+        columns = torch.cat([indices, torch.tensor([-1])])
+        self.shared[indices[:, None], columns] += weighted.double().flatten(1) @ both.T
 
     def reduced(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Equations of the shared parameters, texels eliminated (Schur complement).
 
             (C - sum B^T A^-1 B) ds = c - sum B^T A^-1 a,    dt = A^-1 a - A^-1 B ds.
 
+        Solutions of texels whose equations are singular in single precision are set to 0, as an
+        arbitrary step would propagate into the shared parameters.
+
         Returns:
             (n, n) matrix and (n,) right-hand side; (PARAMETERS, N) A^-1 a; (PARAMETERS, n, N)
             A^-1 B.
         """
-        sides = torch.cat([self.right[:, None], self.coupling], dim=1)
-        solved = texels_solved(self.texels, sides)
-        eliminated = (self.coupling.double() @ solved.double().mT).sum(0)
-        matrix, right = self.shared - eliminated[:, 1:], self.shared_right - eliminated[:, 0]
+        system = self.texels.clone()
+        system.diagonal().mul_(1.0 + _ROUNDING)
+        solved = solved_in_place(system).nan_to_num(0.0, 0.0, 0.0)
+        coupling = self.texels[PARAMETERS + 1 :].movedim(1, 0)
+        eliminated = (coupling.double() @ solved.double().mT).sum(0)
+        matrix, right = (
+            self.shared[:, :-1] - eliminated[:, 1:],
+            self.shared[:, -1] - eliminated[:, 0],
+        )
         return matrix, right, solved[:, 0], solved[:, 1:]
 
 
@@ -342,7 +329,7 @@ class _SharedFit:
             by_shared, indices = self._by_shared(number, some, log, values, index)
             by_hue, hues = self._by_hue(by_texel[1][0], index.gloss)
             by_shared, indices = torch.cat([by_shared, by_hue]), torch.cat([indices, hues])
-            equations.add(jacobian(*by_texel), by_shared, indices, weight, residual[:, 0])
+            equations.add((residual[:, 0], weight, *by_texel), by_shared, indices)
         return equations
 
     def _by_hue(self, by_f0: Tensor, gloss: Tensor) -> tuple[Tensor, Tensor]:
@@ -379,21 +366,6 @@ class _SharedFit:
         return torch.stack(columns), torch.cat(
             [indices, index.gain[number - 1], index.move[number - 1]]
         )
-
-
-def texels_solved(within: Tensor, sides: Tensor) -> Tensor:
-    """(PARAMETERS, k, N) solutions of N texels' normal equations (PARAMETERS, PARAMETERS, N).
-
-    Solutions of equations that are singular in single precision are set to 0, as an arbitrary step
-    would propagate into the shared parameters.
-
-    Args:
-        within: symmetric, positive definite up to rounding.
-        sides: (PARAMETERS, k, N) right-hand sides.
-    """
-    system = torch.cat([within, sides.movedim(1, 0)])
-    system.diagonal().mul_(1.0 + _ROUNDING)
-    return solved_in_place(system).nan_to_num(0.0, 0.0, 0.0)
 
 
 def _homography(move: Tensor) -> Doubles:

@@ -11,12 +11,13 @@ texels (shared.py). Finally slopes are integrated to a height, and albedo is ref
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-import torch.nn.functional as F
+import torch.nn.functional as functional
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
@@ -116,51 +117,69 @@ class _Iterate:
     slope_energies: tuple[float, ...]
     """As in Solved."""
 
-    @property
-    def parameters(self) -> Tensor:
-        """(PARAMETERS, H, W) current parameters."""
-        return self.step.parameters
+    @staticmethod
+    def initial(
+        views: Sequence[ResampledView],
+        prediction: Estimate,
+        light: SharedLight,
+        coarser: Solved | None,
+    ) -> _Iterate:
+        """The prediction, or the upsampled solution of a coarser grid; arguments as of solve."""
+        prior, error, energies = ParameterPrior.of(prediction), 0.0, tuple[float, ...]()
+        parameters = prior.mean.clone()
+        if coarser is not None:
+            parameters = _continued(prior.mean, prediction.maps, coarser)
+            error, energies = coarser.slope_statistics_on(prediction.maps)
+        prior, gloss = prior.with_least(SLOPES, error), prior.gloss_deviation
+        if light.gloss.shape != gloss.shape:
+            light = replace(light, gloss=torch.zeros_like(gloss))
+        light = with_ambient_gradient(views, prior.mean, light)
+        return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
 
-    def with_shared(self, views: Sequence[ResampledView], slope: float, sampled: int) -> _Iterate:
+    def with_shared(self, slope: float, sampled: int) -> _Iterate:
         """Begin a round: fit the shared parameters.
 
         Args:
-            views: the photographs.
             slope: least prior standard deviation of slopes in this round.
             sampled: texels to which the shared parameters are fitted.
         """
-        parameters, mean_gloss = self.parameters, self.light.gloss
-        views = under_fitted_ambient(views, parameters, self.light)
+        parameters, widened = self.step.parameters, self.prior.with_least(SLOPES, slope)
+        views = under_fitted_ambient(self.views, parameters, self.light)
         # Two photographs do not tell gloss from slopes; several materials have told it (basis.py).
         narrow = len(self.prior.shares) > 1 or len(views) < 3
-        free = self.prior if narrow else self.prior.with_least_slope(slope)
+        free = self.prior if narrow else widened
         light, _ = shared_step(views, parameters, free, self.light, sampled)
-        parameters = with_gloss(parameters, self.prior.shares, light.gloss - mean_gloss)
-        widened = self.prior.with_least_slope(slope).with_gloss_of(light)
+        parameters = with_gloss(parameters, self.prior.shares, light.gloss - self.light.gloss)
         step = replace(self.step, parameters=parameters)
-        return replace(self, views=views, light=light, widened=widened, step=step)
+        return replace(
+            self, views=views, light=light, widened=widened.with_gloss_of(light), step=step
+        )
+
+    def stepped(self, *, jackknife: bool) -> _Iterate:
+        """A Gauss-Newton step of all texels."""
+        changed = SLOPES if jackknife else None
+        parameters = self.step.parameters
+        return replace(
+            self, step=stepped(self.views, parameters, self.widened, self.light, changed=changed)
+        )
 
     def high_passed(self) -> _Iterate:
         """End a round: remove low frequencies of slopes."""
-        parameters, extent = self.parameters.clone(), self.views[0].extent
+        parameters, extent = self.step.parameters.clone(), self.views[0].extent
         unit = extent.unit(parameters.shape[-1])
         parameters[SLOPES] = _without_slow(parameters[SLOPES], unit)
         return replace(self, step=replace(self.step, parameters=parameters))
 
     def measured(self) -> _Iterate:
         """Measure error and energies of the predicted slopes, means over both slopes."""
-        each = zip(
-            self.parameters[SLOPES],
-            self.prior.mean[SLOPES],
-            self.step.changes.movedim(1, 0),
-            strict=True,
-        )
+        changes = self.step.changes.movedim(1, 0)
+        each = zip(self.step.parameters[SLOPES], self.prior.mean[SLOPES], changes, strict=True)
         of_each = (prediction_error(*(plane.numpy() for plane in planes)) for planes in each)
         squares, energies = zip(*of_each, strict=True)
         error = math.sqrt(np.mean(squares))
         return replace(
             self,
-            prior=self.prior.with_least_slope(error),
+            prior=self.prior.with_least(SLOPES, error),
             prediction_error=error,
             slope_energies=tuple(np.mean(energies, axis=0).tolist()),
         )
@@ -187,7 +206,7 @@ def solve(
         on_progress: called with the completed share, in [0, 1].
         rounds, sampled: see ROUNDS and shared.SAMPLED.
     """
-    iterate, interrupted = _initial(views, prediction, light, coarser), False
+    iterate, interrupted = _Iterate.initial(views, prediction, light, coarser), False
     try:
         steps = _iterates(iterate, rounds, sampled, measure=coarser is None)
         for done, newest in enumerate(steps, 1):
@@ -195,7 +214,7 @@ def solve(
             on_progress(done / (sum(rounds) + 2))
     except KeyboardInterrupt:
         interrupted = True
-    views, light, parameters = iterate.views, iterate.light, iterate.parameters
+    views, light, parameters = iterate.views, iterate.light, iterate.step.parameters
     texel_size = prediction.maps.texel_size
     height = surface_of(parameters[SLOPES], texel_size, iterate.step.relief)
     if not interrupted:
@@ -203,37 +222,21 @@ def solve(
     parameters[SLOPES] = slopes_of(height, texel_size)
     if not interrupted:
         parameters = _step_at_fixed_slopes(views, parameters, iterate.widened, light)
-    precision = iterate.step.precision
+    precision, prior = iterate.step.precision, iterate.widened
+    share = precision / (precision + prior.precision)
     return Solved(
         Estimate(
             maps_of(parameters, height, texel_size),
-            _log_errors(precision, iterate.widened),
+            _log_errors(precision, prior),
             prediction.basis and prediction.basis.changed(light.gloss),
         ),
         light,
         _residuals(views, parameters, light),
-        _shares(precision, iterate.widened),
+        tuple(share[part].median().item() for part in (ALBEDO, F0, ROUGH, SLOPES)),
         iterate.prediction_error,
         iterate.slope_energies,
         interrupted,
     )
-
-
-def _initial(
-    views: Sequence[ResampledView], prediction: Estimate, light: SharedLight, coarser: Solved | None
-) -> _Iterate:
-    """The prediction, or the upsampled solution of a coarser grid; arguments as of solve."""
-    prior = ParameterPrior.of(prediction)
-    if coarser is None:
-        parameters, error, energies = prior.mean.clone(), 0.0, tuple[float, ...]()
-    else:
-        parameters = _continued(prior.mean, prediction.maps, coarser)
-        error, energies = coarser.slope_statistics_on(prediction.maps)
-    prior, gloss = prior.with_least_slope(error), prior.gloss_deviation
-    if light.gloss.shape != gloss.shape:
-        light = replace(light, gloss=torch.zeros_like(gloss))
-    light = with_ambient_gradient(views, prior.mean, light)
-    return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
 
 
 def _iterates(
@@ -246,30 +249,21 @@ def _iterates(
         rounds, sampled: as of solve.
         measure: whether the first round measures the error of the predicted slopes.
     """
-    views = iterate.views
-    first, wider = _SLOPE, sum(1.0 if view.flash else _UNLIT for view in views) - 1.0
+    first, wider = _SLOPE, sum(1.0 if view.flash else _UNLIT for view in iterate.views) - 1.0
     if len(iterate.prior.shares) > 1:
         first, wider = _GLOSSY_SLOPE, _GLOSSY_WIDER
     for index, steps in enumerate(rounds):
         measures = measure and index == 0
         slope = first if measures else wider * iterate.prediction_error
-        iterate = iterate.with_shared(views, slope, sampled)
-        for turn in range(1, steps + 1):
-            last = turn == steps
-            jackknife = last and (measures or index == len(rounds) - 1)
-            step = stepped(
-                iterate.views,
-                iterate.parameters,
-                iterate.widened,
-                iterate.light,
-                changed=SLOPES if jackknife else None,
-            )
-            iterate = replace(iterate, step=step)
-            if last:
-                iterate = iterate.high_passed()
-            if last and measures:
-                iterate = iterate.measured()
+        iterate = iterate.with_shared(slope, sampled)
+        for _ in range(steps - 1):
+            iterate = iterate.stepped(jackknife=False)
             yield iterate
+        jackknife = measures or index == len(rounds) - 1
+        iterate = iterate.stepped(jackknife=jackknife).high_passed()
+        if measures:
+            iterate = iterate.measured()
+        yield iterate
 
 
 def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
@@ -281,29 +275,32 @@ def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
     """
     views, extent, across = iterate.views, iterate.views[0].extent, height.shape[-1]
     texel_size, unit = extent.texel(across), extent.unit(across)
-    prediction, *jackknife = (
-        integrated(_without_slow(slopes, unit), texel_size)[0].numpy()
-        for slopes in (iterate.prior.mean[SLOPES], *iterate.step.changes)
-    )
-    result = denoised(height[0].numpy(), prediction, jackknife, keep_energy=True)
+
+    def heights(slopes: Iterable[Tensor]) -> list[NDArray[np.float32]]:
+        slow = (_without_slow(each, unit) for each in slopes)
+        return [integrated(each, texel_size)[0].numpy() for each in slow]
+
+    prediction, *jackknife = heights([iterate.prior.mean[SLOPES], *iterate.step.changes])
+    result = denoised(height[0].numpy(), prediction, jackknife)
     if len(views) == 2 and views[1].flash:
         result = with_energies(result, texel_size, iterate.slope_energies)
     if len(iterate.step.halves):
-        one, other = (
-            integrated(_without_slow(slopes, unit), texel_size)[0].numpy()
-            for slopes in iterate.step.halves
-        )
-        result = with_energies(result, texel_size, cross_energies(one, other, texel_size))
+        one, other = heights(iterate.step.halves)
+        energies = cross_energies(one, other, texel_size)
+        result = with_energies(result, texel_size, energies)
     return torch.from_numpy(result)[None]
 
 
 def _continued(prior_mean: Tensor, prior: MapSet, coarser: Solved) -> Tensor:
     """(PARAMETERS, H, W) prior mean plus upsampled (estimate - prior mean) of a coarse grid."""
     size = coarser.maps.size[::-1]
-    small = F.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
+    small = functional.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
     coarse = MapSet.from_stacked(small, coarser.maps.texel_size)
     change = parameters_of(coarser.maps) - parameters_of(coarse)
-    return prior_mean + F.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
+    return (
+        prior_mean
+        + functional.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
+    )
 
 
 def _without_slow(slopes: Tensor, unit: float) -> Tensor:
@@ -339,12 +336,6 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     deviation = (0.25 * precision + prior.precision).rsqrt()
     albedo, slope = deviation[ALBEDO].mean(0), deviation[SLOPES].mean(0)
     return torch.stack([albedo, deviation[F0], deviation[ROUGH], slope]).log()
-
-
-def _shares(precision: Tensor, prior: ParameterPrior) -> tuple[float, ...]:
-    """Photographs' share in the posterior precision of each map, median over texels."""
-    share = precision / (precision + prior.precision)
-    return tuple(share[part].flatten().median().item() for part in (ALBEDO, F0, ROUGH, SLOPES))
 
 
 def _residuals(

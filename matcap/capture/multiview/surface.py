@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,9 +15,6 @@ from matcap.brdf.maps import integrate, poisson
 from matcap.capture.exemplar.relief_spectrum import BANDS, smoothed, split, split_all
 from matcap.capture.multiview.texels import slopes_of
 from matcap.flash.least_squares import conjugate_gradients
-
-# Height from slopes, weighted by their precision.
-
 
 Floats = NDArray[np.float32]
 
@@ -38,58 +35,44 @@ def surface_of(slopes: Tensor, texel_size: float, precision: Tensor) -> Tensor:
     Args:
         slopes: along x and y.
         texel_size: in plane units.
-        precision: (3, H, W) elements xx, yy and xy of P.
+        precision: (3, H, W) elements xx, yy and xy of P, to which _MODEL adds an independent error.
     """
-    height = integrated(slopes, texel_size, 2)
-    weight = _with_error(precision, _MODEL)
-    weight = weight / weight[:2].mean().clamp_min(1e-12)
+    xx, yy, xy = precision * _MODEL**2
+    determinant = xx * yy - xy * xy
+    weight = torch.stack([xx + determinant, yy + determinant, xy])
+    weight /= (1.0 + xx + yy + determinant).clamp_min(1e-12)
+    weight /= weight[:2].mean().clamp_min(1e-12)
     weight[:2] += _LEAST_PRECISION
-    residual = (slopes - slopes_of(height, texel_size)).numpy()
-    return height + texel_size * torch.from_numpy(_nearest(residual, weight.numpy()))[None]
 
+    def weighted(error: Tensor) -> Tensor:
+        x, y = error
+        return torch.stack([weight[0] * x + weight[2] * y, weight[1] * y + weight[2] * x])
 
-def _with_error(precision: Tensor, deviation: float) -> Tensor:
-    """(3, H, W) precision of slopes with an independent error added: P (1 + deviation^2 P)^-1."""
-    xx, yy, xy = precision.double()
-    variance = deviation**2
-    a, b, c = 1.0 + variance * xx, 1.0 + variance * yy, variance * xy
-    det = (a * b - c * c).clamp_min(1e-12)
-    full = xx * yy - xy * xy
-    return torch.stack(
-        [(xx + variance * full) / det, (yy + variance * full) / det, xy / det]
-    ).float()
+    def gradient(of: Callable[[Tensor], Tensor], heights: Floats) -> Floats:
+        """The transpose of the differences, applied to `of` the slopes of heights in texels."""
+        differences, transposed = torch.func.vjp(_differences, torch.from_numpy(heights))[:2]
+        return np.asarray(transposed(of(differences))[0].numpy(), np.float32)
 
-
-def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
-    """(1, H, W) height nearest to slopes (2, H, W) of equal precision, plane units.
-
-    By repeated Poisson integration of the residual slopes. A difference between neighbours is the
-    mean of their slopes, so central differences of the height are smoother than the slopes; the
-    rounds restore the loss.
-    """
-    height = torch.zeros(1, *slopes.shape[1:])
-    for _ in range(rounds):
-        residual = (slopes - slopes_of(height, texel_size)).numpy() * texel_size
-        across = 0.5 * (residual[0][:, 1:] + residual[0][:, :-1])
-        down = -0.5 * (residual[1][1:] + residual[1][:-1])
-        height = height + torch.from_numpy(integrate(across, down))[None]
-    return height
-
-
-def _nearest(slopes: Floats, weight: Floats) -> Floats:
-    """(H, W) heights in texels, weighted least squares of (2, H, W) by weights (3, H, W)."""
-    return conjugate_gradients(
-        lambda heights: transposed(_weighted(texel_slopes(heights), weight)),
-        transposed(_weighted(slopes, weight)),
+    height = integrated(slopes, texel_size, 2)
+    begun = (height[0] / texel_size).numpy()
+    change = conjugate_gradients(
+        lambda heights: gradient(weighted, heights),
+        gradient(lambda differences: weighted(slopes - differences), begun),
         _STEPS,
-        preconditioned=_preconditioner(weight),
+        preconditioned=_preconditioner(weight[:2].numpy()),
     )
+    return height + texel_size * torch.from_numpy(change)[None]
+
+
+def _differences(heights: Tensor) -> Tensor:
+    """(2, H, W) central differences of heights (H, W) in texels: slopes_of, as a linear map."""
+    down, across = torch.gradient(heights)
+    return torch.stack([across, -down])
 
 
 def _preconditioner(weight: Floats) -> Callable[[Floats], Floats]:
-    """The inverse Laplacian, locally scaled by the smoothed weight (3, H, W)."""
-    shape = weight.shape[1:]
-    across, down = (float(np.mean(each)) for each in weight[:2])
+    """The inverse Laplacian, locally scaled by the smoothed weight (2, H, W)."""
+    shape, (across, down) = weight.shape[1:], weight.mean((1, 2)).tolist()
     local = cv2.GaussianBlur(weight[0] / across + weight[1] / down, (0, 0), _EVEN)
     scale = np.asarray(1.0 / np.sqrt(0.5 * local), np.float32)
 
@@ -101,32 +84,19 @@ def _preconditioner(weight: Floats) -> Callable[[Floats], Floats]:
     return preconditioned
 
 
-def _weighted(slopes: Floats, weight: Floats) -> Floats:
-    """P e of slopes e (2, H, W), with elements xx, yy and xy of P in `weight` (3, H, W)."""
-    x, y = slopes
-    return np.stack([weight[0] * x + weight[2] * y, weight[1] * y + weight[2] * x])
+def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
+    """(1, H, W) height nearest to slopes (2, H, W) of equal precision, plane units.
 
-
-def texel_slopes(height: Floats) -> Floats:
-    """(2, H, W) central differences of (H, W) along columns and rows; y points up."""
-    return np.asarray(slopes_of(torch.from_numpy(height)[None], 1.0).numpy(), np.float32)
-
-
-def transposed(slopes: Floats) -> Floats:
-    """(H, W) the transpose (adjoint) of texel_slopes applied to (2, H, W)."""
-    heights = np.zeros(slopes.shape[1:], np.float32)
-    x, y = slopes[0], -slopes[1]
-    heights[:, 2:] += 0.5 * x[:, 1:-1]
-    heights[:, :-2] -= 0.5 * x[:, 1:-1]
-    heights[2:] += 0.5 * y[1:-1]
-    heights[:-2] -= 0.5 * y[1:-1]
-    # One-sided differences at the borders.
-    for first, second, end in ((0, 1, 0), (-2, -1, -1)):
-        heights[:, second] += x[:, end]
-        heights[:, first] -= x[:, end]
-        heights[second] += y[end]
-        heights[first] -= y[end]
-    return heights
+    By repeated Poisson integration of the residual slopes. A difference between neighbours is the
+    mean of their slopes, so central differences of the height are smoother than the slopes; the
+    rounds restore the loss.
+    """
+    height = torch.zeros(1, *slopes.shape[1:])
+    for _ in range(rounds):
+        x, y = ((slopes - slopes_of(height, texel_size)) * texel_size).numpy()
+        across, down = 0.5 * (x[:, 1:] + x[:, :-1]), -0.5 * (y[1:] + y[:-1])
+        height = height + torch.from_numpy(integrate(across, down))[None]
+    return height
 
 
 # Wiener estimate of a map, octave by octave, from its measurement and the network's prediction.
@@ -149,56 +119,26 @@ _LEAST_VARIANCE = 1e-12  # lower limit of variances
 _SCALED = 0.6, 1.5  # limits of the factor of an octave that is brought to its expected energy
 
 
-@dataclass(frozen=True)
-class _Octave:
-    """An octave band of a map, in the module's symbols."""
+class _Octave(NamedTuple):
+    """What an octave band of a map turns out to be, in the symbols above."""
 
-    measured: Floats
-    predicted: Floats
-    """(H, W) y and m."""
-    noise: Floats
-    """(H, W) nu."""
-    gain: np.float32
-    error: np.float32
-    """Symbols g and T of the module."""
-
-    def posterior(self, gain: np.float32) -> Floats:
-        """(H, W) gain m + sqrt(T / (T + nu)) (y - g m)."""
-        kept = np.sqrt(self.error / (self.error + self.noise), dtype=np.float32)
-        return gain * self.predicted + kept * (self.measured - self.gain * self.predicted)
-
-    @property
-    def energy(self) -> float:
-        """Mean of the measured and the predicted energy, by their uncertainties."""
-        predicted, noise = float(np.square(self.predicted).mean()), float(self.noise.mean())
-        measured = float(self.gain) ** 2 * predicted + float(self.error)
-        share = predicted**2 / (predicted**2 + noise**2 + _LEAST_VARIANCE**2)
-        return share * measured + (1.0 - share) * predicted
-
-    def gain_by_energy(self) -> np.float32:
-        """Gain of the network's prediction at which the octave has its expected energy."""
-        predicted = max(float(np.square(self.predicted).mean()), _LEAST_VARIANCE)
-        more = (self.energy - float(self.error)) / predicted
-        return np.float32(max(abs(float(self.gain)), np.sqrt(max(more, 0.0))))
+    posterior: Floats
+    """(H, W) g m + sqrt(T / (T + nu)) (y - g m)."""
+    error: float
+    """Error variance of the prediction, T + max(g - 1, 0)^2 E[m^2]."""
+    energy: float
+    """Mean of the measured energy g^2 E[m^2] + T and the predicted, by their uncertainties."""
 
 
-def denoised(
-    measured: Floats,
-    predicted: Floats,
-    changes: Sequence[Floats] | Floats,
-    *,
-    keep_energy: bool = False,
-) -> Floats:
+def denoised(measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats) -> Floats:
     """(H, W) denoised map, each octave with its expected energy.
 
     Args:
         measured: (H, W) estimate from all photographs.
         predicted: (H, W) the network's prediction.
         changes: (H, W) each, change of `measured` when one photograph is left out.
-        keep_energy: use _Octave.gain_by_energy, not g, so that energy hidden by noise is kept.
     """
-    octaves = _octaves(measured, predicted, changes)
-    bands = [o.posterior(o.gain_by_energy() if keep_energy else o.gain) for o in octaves]
+    bands = [octave.posterior for octave in _octaves(measured, predicted, changes)]
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
@@ -207,17 +147,13 @@ def prediction_error(
 ) -> tuple[float, NDArray[np.float64]]:
     """Error variance of the prediction, and expected energies of the octaves above 4 texels.
 
-    The former is the sum over octaves of T + max(g - 1, 0)^2 E[m^2]. Arguments as of denoised.
+    Arguments as of denoised.
     """
     octaves = list(_octaves(measured, predicted, changes))
-    more = (
-        max(float(o.gain) - 1.0, 0.0) ** 2 * float(np.square(o.predicted).mean()) for o in octaves
-    )
-    error = sum(float(o.error) for o in octaves) + sum(more)
-    energies = [
-        o.energy for o, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
+    long = [
+        octave for octave, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
     ]
-    return error, np.array(energies)
+    return sum(octave.error for octave in octaves), np.array([octave.energy for octave in long])
 
 
 def cross_energies(one: Floats, other: Floats, texel_size: float) -> list[float]:
@@ -226,15 +162,15 @@ def cross_energies(one: Floats, other: Floats, texel_size: float) -> list[float]
     Noise of either does not add to them: the cross-spectrum of both.
     """
     bands = list(split_all([one, other], _OCTAVES))[: len(_OCTAVES)]
-    each = (texel_slopes(a) * texel_slopes(b) for a, b in bands)
-    return [float(product.mean()) / texel_size**2 for product in each]
+    each = ([_differences(torch.from_numpy(half)) for half in pair] for pair in bands)
+    return [float((one * other).mean()) / texel_size**2 for one, other in each]
 
 
 def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) -> Floats:
     """(H, W) height whose slopes have given mean energies in the longest of its octaves."""
     bands = split(height, _OCTAVES)
     for band, energy in zip(bands, energies, strict=False):
-        current = float(np.square(texel_slopes(band)).mean()) / texel_size**2
+        current = float(_differences(torch.from_numpy(band)).square().mean()) / texel_size**2
         share = max(energy, 0.0) / max(current, _LEAST_VARIANCE)
         band *= np.float32(np.sqrt(share).clip(*_SCALED))
     return np.asarray(np.sum(bands, axis=0), np.float32)
@@ -245,19 +181,26 @@ def _octaves(
 ) -> Iterator[_Octave]:
     """Octave bands of both maps and the low-pass remainder, with estimates of g and T."""
     # (n - 1) / n of the jackknife, but not 0 for one photograph
-    share = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
+    jackknife = np.float32(max(0.5, 1.0 - 1.0 / len(changes)))
     waves = [*(longest for longest, _ in _OCTAVES), 2.0 * _OCTAVES[0][0]]
     bands = split_all([measured, predicted, *changes], _OCTAVES)
     for wave, (y, m, *changed) in zip(waves, bands, strict=True):
         noise = np.full_like(measured, _LEAST_VARIANCE)
         for change in changed:
-            noise += share * np.square(change)
+            noise += jackknife * np.square(change)
         noise = smoothed(noise, _AROUND * wave)
         weight = 1.0 / noise
         # g has the prior 1 +- 1, and is never negative.
         few = float((weight * noise).mean()) / (y.size / wave**2)
         without_first = float((weight * (y + changed[0]) * m).mean())
         gain = max(without_first + few, 0.0) / (float((weight * m * m).mean()) + few)
-        left = np.square(y - np.float32(gain) * m) - noise
-        error = max(float((weight * left).sum() / weight.sum()), _LEAST_VARIANCE)
-        yield _Octave(y, m, noise, np.float32(gain), np.float32(error))
+        left = y - np.float32(gain) * m
+        error = max(float((weight * (left * left - noise)).sum() / weight.sum()), _LEAST_VARIANCE)
+        kept = np.sqrt(np.float32(error) / (np.float32(error) + noise))
+        strong, uncertain = float(np.square(m).mean()), float(noise.mean())
+        share = strong**2 / (strong**2 + uncertain**2 + _LEAST_VARIANCE**2)
+        yield _Octave(
+            np.float32(gain) * m + kept * left,
+            error + max(gain - 1.0, 0.0) ** 2 * strong,
+            share * (gain**2 * strong + error) + (1.0 - share) * strong,
+        )

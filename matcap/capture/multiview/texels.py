@@ -41,7 +41,7 @@ TINT = slice(7, 10)
 # Log specular tint by the two parameters of a hue: red against blue, and green against both.
 HUES = torch.tensor([[1.0, 0.0, -1.0], [0.5, -1.0, 0.5]])
 # Slopes among the parameters other than albedo.
-OTHER_SLOPES, _SLOPE_X, _SLOPE_Y = slice(2, 4), 2, 3
+OTHER_SLOPES = slice(2, 4)
 
 # Of the multi-view solution; docs/notes/several.md.
 _ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance
@@ -77,7 +77,7 @@ class Stepped:
     """(PARAMETERS, H, W) diagonal of the photographs' J^T W J, prior excluded."""
     relief: Tensor
     """(3, H, W) precision of slopes: xx, yy and xy of the posterior, all other parameters
-    eliminated."""
+    eliminated; 0 if they do not move."""
     changes: Tensor
     """(photographs, some parameters, H, W) change when each photograph is left out: the jackknife
     [efron1982]. Empty unless requested."""
@@ -88,12 +88,9 @@ class Stepped:
     @staticmethod
     def none(parameters: Tensor) -> Stepped:
         """Before any step: precision 0, relief that of independent unit slopes."""
-        one = torch.ones_like(parameters[:1])
+        empty, one = parameters.new_zeros(0), torch.ones_like(parameters[:1])
         relief = torch.cat([one, one, 0.0 * one])
-        nothing = torch.zeros_like(parameters[:PARAMETERS])
-        return Stepped(
-            parameters, nothing, relief, parameters.new_zeros(0), parameters.new_zeros(0)
-        )
+        return Stepped(parameters, 0.0 * parameters[:PARAMETERS], relief, empty, empty)
 
 
 @dataclass(frozen=True)
@@ -170,6 +167,12 @@ class Estimate:
     basis: SharedMaterials | None = None
     """Materials that texels share; None if all are one, whose F0 and roughness are the maps'."""
 
+    def coarser(self, unit: float, extent: Extent = OWN) -> Estimate:
+        """On a grid of at most `unit` texels along the first photograph's long side."""
+        width, height = self.maps.size
+        across = min(extent.across(unit), width)
+        return self.resized((round(height * across / width), across), extent)
+
     def resized(self, size: tuple[int, int], extent: Extent = OWN) -> Estimate:
         """Area average on a coarser grid of `size` = (rows, columns) texels over an extent."""
         maps, log_error = (
@@ -178,10 +181,6 @@ class Estimate:
         )
         basis = None if self.basis is None else self.basis.resized(size)
         return Estimate(MapSet.from_stacked(maps, extent.texel(size[1])), log_error, basis)
-
-    def with_most_error(self, log_error: Tensor) -> Estimate:
-        """With logs of standard deviations of at most `log_error` (4,)."""
-        return replace(self, log_error=torch.minimum(self.log_error, log_error[:, None, None]))
 
 
 @dataclass(frozen=True)
@@ -227,16 +226,10 @@ class ParameterPrior:
         """With SharedLight.gloss added to the means of log F0, logit roughness and tint."""
         return replace(self, mean=with_gloss(self.mean, self.shares, light.gloss))
 
-    def with_least_slope(self, slope: float) -> ParameterPrior:
-        """With standard deviations of slopes of at least `slope`."""
+    def with_least(self, part: slice, least: float) -> ParameterPrior:
+        """With standard deviations of some parameters of at least `least`."""
         deviation = self.deviation.clone()
-        deviation[SLOPES] = deviation[SLOPES].clamp_min(slope)
-        return replace(self, deviation=deviation)
-
-    def with_least_albedo(self, albedo: float) -> ParameterPrior:
-        """With standard deviations of log albedo of at least `albedo`."""
-        deviation = self.deviation.clone()
-        deviation[ALBEDO] = deviation[ALBEDO].clamp_min(albedo)
+        deviation[part] = deviation[part].clamp_min(least)
         return replace(self, deviation=deviation)
 
 
@@ -378,8 +371,7 @@ def stepped(
         changed: parameters whose changes without each photograph are computed; None for none.
     """
     moved, precision = parameters.clone(), torch.zeros_like(parameters[:PARAMETERS])
-    relief = torch.zeros(3, *parameters.shape[1:])
-    shape = parameters[changed or slice(0)].shape
+    relief, shape = torch.zeros(3, *parameters.shape[1:]), parameters[changed or slice(0)].shape
     changes = torch.zeros(len(views) if changed else 0, *shape)
     places = [view.camera.place[:2] for view in views]
     # Halves are of slopes alone: albedo's octaves have no use for them.
@@ -391,15 +383,18 @@ def stepped(
         of_each = _normal_equations(views, rows, parameters[:, rows], light, slopes=slopes)
         whole = sum(of_each[1:], of_each[0])
         current = parameters[part], prior.mean[part], prior.deviation[part]
-        moved[part], precision[part], factor = whole.solved(*current)
+        moved[part], precision[part], factor = solved(whole.clone(), *current)
         if slopes:
-            relief[:, rows] = _slope_precision(factor).reshape(relief[:, rows].shape)
+            # L L^T, L being the block of slopes of the Cholesky factor, as they are last.
+            (xx, _), (yx, yy) = factor[SLOPES, SLOPES]
+            block = torch.stack([xx.square(), yx.square() + yy.square(), xx * yx])
+            relief[:, rows] = block.nan_to_num(0.0).reshape(relief[:, rows].shape)
         for change, own in zip(changes, of_each, strict=bool(changed)):
-            change[:, rows] = ((whole - own).solved(*current)[0] - moved[part])[changed]
+            change[:, rows] = (solved(whole - own, *current)[0] - moved[part])[changed]
         wide = *current[:2], _HALF_PRIOR * current[2]
         for half, some in zip(halves, parts, strict=True):
             part_of = sum((of_each[n] for n in some[1:]), of_each[some[0]])
-            half[:, rows] = part_of.solved(*wide)[0][changed]
+            half[:, rows] = solved(part_of, *wide)[0][changed]
     return Stepped(limited(moved), precision, relief, changes, halves)
 
 
@@ -425,93 +420,49 @@ def halves_of(places: Sequence[NDArray[np.float64]]) -> tuple[tuple[int, ...], .
     return max(splits, key=lambda split: min(spread(half) for half in split))
 
 
-@dataclass(frozen=True)
-class _NormalEquations:
-    """Normal equations J^T W J d = J^T W r of N texels, r being residuals of log radiance.
+def normal_equations(residual: Tensor, weight: Tensor, share: Tensor, by_others: Tensor) -> Tensor:
+    """Normal equations J^T W J d = J^T W r of N texels under one photograph.
 
-    Albedo of a channel changes the radiance of that channel only, so the equations of the three
-    albedos a are coupled to those of the m other parameters o, but not to each other:
+    Albedo of a channel changes the radiance of that channel only, so the rows of the three albedos
+    are not coupled to each other.
 
-        D a + B o = g,    B^T a + C o = h,    D diagonal.
+    Args:
+        residual, weight: (3, N) of log radiance.
+        share: (3, N) derivative by albedo, as of `derivatives`.
+        by_others: (m, 3, N) derivatives by the others.
+
+    Returns:
+        (m + 4, m + 3, N) lower triangles of J^T W J, and J^T W r as the last row. Equations of
+        several photographs are added.
     """
-
-    albedo: Tensor
-    """(3, m + 2, N) rows of albedo: diagonal of D, then B, then g."""
-    others: Tensor
-    """(m + 1, m, N) lower triangle of C, and h as the last row."""
-
-    def __add__(self, other: _NormalEquations) -> _NormalEquations:
-        return _NormalEquations(self.albedo + other.albedo, self.others + other.others)
-
-    def __sub__(self, other: _NormalEquations) -> _NormalEquations:
-        return _NormalEquations(self.albedo - other.albedo, self.others - other.others)
-
-    @staticmethod
-    def of(residual: Tensor, weight: Tensor, share: Tensor, by_others: Tensor) -> _NormalEquations:
-        """Equations of one photograph.
-
-        Args:
-            residual, weight: (3, N) of log radiance.
-            share: (3, N) derivative by albedo, as of `derivatives`.
-            by_others: (m, 3, N) derivatives by the others.
-        """
-        m, texels = len(by_others), residual.shape[-1]
-        albedo, others = torch.zeros(3, m + 2, texels), torch.zeros(m + 1, m, texels)
-        torch.mul(share, weight, out=albedo[:, 0])
-        torch.mul(by_others, albedo[:, 0], out=albedo[:, 1:-1].movedim(0, 1))
-        torch.mul(residual, albedo[:, 0], out=albedo[:, -1])
-        albedo[:, 0] *= share
-        weighted = by_others * weight
-        for number in range(m):
-            others[number:-1, number] = (weighted[number] * by_others[number:]).sum(1)
-        others[-1] = (weighted * residual).sum(1)
-        return _NormalEquations(albedo, others)
-
-    def solved(
-        self, parameters: Tensor, mean: Tensor, deviation: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Parameters after a damped step with a Gaussian prior, albedo eliminated.
-
-        With prior and damping in D, C, g and h,
-
-            (C - B^T D^-1 B) o = h - B^T D^-1 g,    a = D^-1 (g - B o).
-
-        Args:
-            parameters, mean, deviation: (n, h, w) current and prior.
-
-        Returns:
-            (n, h, w) parameters and precision, prior excluded; and the Cholesky factor (m, m, N)
-            of the others' equations.
-        """
-        shape = parameters.shape
-        precision = deviation.flatten(1).square().reciprocal()
-        pull = precision * (mean - parameters).flatten(1)
-        measured = torch.cat([self.albedo[:, 0], self.others.diagonal().T])
-        albedo, others = self.albedo.clone(), self.others.clone()
-        damped = precision + _DAMPING * measured
-        albedo[:, 0] += damped[ALBEDO]
-        albedo[:, -1] += pull[ALBEDO]
-        others.diagonal().T.add_(damped[F0:])
-        others[-1] += pull[F0:]
-        albedo[:, 1:] *= albedo[:, :1].rsqrt()
-        for number in range(others.shape[1]):
-            others[number:, number] -= (albedo[:, 1 + number :] * albedo[:, 1 + number, None]).sum(
-                0
-            )
-        of_others = solved_in_place(others)[:, 0]
-        of_albedo = albedo[:, -1] - (albedo[:, 1:-1] * of_others).sum(1)
-        step = torch.cat([of_albedo * albedo[:, 0].rsqrt(), of_others])
-        step = step.nan_to_num(0.0).clamp(-0.7, 0.7)
-        return parameters + step.reshape(shape), measured.reshape(shape), others[:-1]
+    system = torch.zeros(len(by_others) + 4, len(by_others) + 3, residual.shape[-1])
+    weighted = share * weight
+    system[:3, :3].diagonal().copy_((weighted * share).T)
+    torch.mul(by_others, weighted, out=system[3:-1, :3])
+    torch.mul(residual, weighted, out=system[-1, :3])
+    weighted = by_others * weight
+    for number, column in enumerate(weighted):
+        system[3 + number : -1, 3 + number] = (column * by_others[number:]).sum(1)
+    system[-1, 3:] = (weighted * residual).sum(1)
+    return system
 
 
-def _slope_precision(factor: Tensor) -> Tensor:
-    """(3, N) precision of slopes, xx, yy and xy, the other parameters eliminated.
+def solved(
+    system: Tensor, parameters: Tensor, mean: Tensor, deviation: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Parameters after a damped step with a Gaussian prior; their precision, prior excluded; and
+    the Cholesky factor (n + 1, n, N) of the equations.
 
-    It is L L^T, L being the block of slopes of the Cholesky factor (4, 4, N), as they are last.
+    Args:
+        system: normal_equations; overwritten.
+        parameters, mean, deviation: (n, h, w) current and prior.
     """
-    xx, yx, yy = factor[_SLOPE_X, _SLOPE_X], factor[_SLOPE_Y, _SLOPE_X], factor[_SLOPE_Y, _SLOPE_Y]
-    return torch.stack([xx.square(), yx.square() + yy.square(), xx * yx]).nan_to_num(0.0)
+    shape, precision = parameters.shape, deviation.flatten(1).square().reciprocal()
+    measured = system.diagonal().T.clone()
+    system.diagonal().T.add_(precision + _DAMPING * measured)
+    system[-1] += precision * (mean - parameters).flatten(1)
+    step = solved_in_place(system)[:, 0].nan_to_num(0.0).clamp(-0.7, 0.7)
+    return parameters + step.reshape(shape), measured.reshape(shape), system
 
 
 def _normal_equations(
@@ -521,15 +472,14 @@ def _normal_equations(
     light: SharedLight,
     *,
     slopes: bool,
-) -> list[_NormalEquations]:
+) -> list[Tensor]:
     """Normal equations of each photograph at some rows, without slopes if these do not move."""
     points = points_of(views[0].log.shape[-2:], rows, views[0].extent)
     seen = [view.seen[:, rows] for view in views]
     lights = (light_at(k, view, light, points) for k, view in enumerate(views) if seen[k].any())
     shaded = derivatives(parameters, lights)
-    m, texels = (PARAMETERS if slopes else SLOPES.start) - F0, parameters[0].numel()
-    nothing = _NormalEquations(torch.zeros(3, m + 2, texels), torch.zeros(m + 1, m, texels))
-    equations = []
+    count = PARAMETERS if slopes else SLOPES.start
+    nothing, equations = torch.zeros(count + 1, count, parameters[0].numel()), []
     for view, mask in zip(views, seen, strict=True):
         if not mask.any():
             equations.append(nothing)
@@ -537,7 +487,8 @@ def _normal_equations(
         log, share, by_others = next(shaded)
         residual = view.log[:, rows] - log
         weight = weights(residual, mask, view.noise).flatten(1)
-        equations.append(_NormalEquations.of(residual.flatten(1), weight, share, by_others[:m]))
+        others = by_others[: count - F0]
+        equations.append(normal_equations(residual.flatten(1), weight, share, others))
     return equations
 
 
@@ -555,11 +506,6 @@ def derivatives(
         yield log, share.flatten(1), by_others.flatten(2)
 
 
-def jacobian(share: Tensor, by_others: Tensor) -> Tensor:
-    """(PARAMETERS, 3, N) d log L by all parameters, from those of `derivatives`."""
-    return torch.cat([torch.diag_embed(share.T).movedim(0, -1), by_others])
-
-
 def solved_in_place(system: Tensor) -> Tensor:
     """Solutions (n, k, N) of N small systems side by side, which become their Cholesky factors.
 
@@ -567,12 +513,13 @@ def solved_in_place(system: Tensor) -> Tensor:
     not positive definite.
 
     Args:
-        system: (n + k, n, N) lower triangles, and k right-hand sides as the last rows.
+        system: (n + k, n, N) lower triangles, the first three rows (albedo) not coupled to each
+            other, and k right-hand sides as the last rows.
     """
     count = system.shape[1]
     for k in range(count):
         system[k:, k] *= system[k, k].rsqrt()
-        for j in range(k + 1, count):
+        for j in range(max(k + 1, F0), count):
             system[j:, j] -= system[j:, k] * system[j, k]
     solution = system[count:].movedim(0, 1).clone()
     for k in reversed(range(count)):

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -51,35 +50,16 @@ class Pair:
     """Focal length of the photograph over the first's, by metadata or assumed."""
 
 
-class _Common(NamedTuple):
-    """Parameters of all photographs: camera distance, lens, and the first camera's tilt."""
-
-    log_distance: float  # over the setup's
-    k1: float
-    k2: float
-    tilt_x: float
-    tilt_y: float
-
-    def first_camera(self, setup: FlashSetup) -> PosedCamera:
-        """The first photograph's."""
-        return PosedCamera.of(self.adjusted(setup), (self.k1, self.k2))
-
-    def adjusted(self, setup: FlashSetup) -> FlashSetup:
-        """The setup with the estimated field of view and tilt."""
-        distance = setup.distance * math.exp(self.log_distance)
-        fov = 2.0 * math.degrees(math.atan(1.0 / distance))
-        return replace(setup, fov=fov, tilt=(self.tilt_x, self.tilt_y))
-
-    def camera(self, setup: FlashSetup, pose: Doubles, focal: float) -> PosedCamera:
-        """Another photograph's, by its rotation vector and position (6,) and its focal length over
-        the first's.
-        """
-        turn = np.asarray(cv2.Rodrigues(pose[:3])[0], np.float64)
-        distance = setup.distance * math.exp(self.log_distance)
-        return PosedCamera(turn, pose[3:], Lens(distance * focal, (self.k1, self.k2)))
+# Parameters of all photographs: log of the camera distance over the setup's, k1 and k2 of the lens,
+# and the first camera's tilt about x and y.
+_COMMON = 5
 
 
-_COMMON = len(_Common._fields)
+def _adjusted(setup: FlashSetup, common: Doubles) -> FlashSetup:
+    """The first photograph's setup with the field of view and tilt of common parameters (5,)."""
+    distance = setup.distance * math.exp(common[0])
+    fov = 2.0 * math.degrees(math.atan(1.0 / distance))
+    return replace(setup, fov=fov, tilt=(float(common[3]), float(common[4])))
 
 
 @dataclass(frozen=True)
@@ -92,6 +72,10 @@ class Adjusted:
     """Cameras of all photographs, the first one's first."""
     reprojection_errors: tuple[float, ...]
     """(photographs - 1,) median reprojection error of each, pixels."""
+    bundle: _Bundle
+    """The cost that they minimise."""
+    parameters: Doubles
+    """(5 + 6 (photographs - 1),) where it has its minimum."""
 
 
 def adjust(
@@ -112,19 +96,19 @@ def adjust(
         distortion: prior standard deviations of the lens distortion, k1 and k2.
     """
     focal = _KNOWN_FOCAL if known else _ASSUMED_FOCAL
-    initial = _Common(0.0, 0.0, 0.0, *setup.tilt)
-    deviation = np.array([focal, *distortion, TILT, TILT])
-    bundle = _Bundle(setup, pairs, np.array(initial), deviation, relief)
-    poses = [_initial_pose(initial.first_camera(setup), pair) for pair in pairs]
+    prior, deviation = np.r_[0.0, 0.0, 0.0, setup.tilt], np.array([focal, *distortion, TILT, TILT])
+    bundle = _Bundle(setup, pairs, prior, deviation, relief)
+    poses = [_initial_pose(PosedCamera.of(setup), pair) for pair in pairs]
     start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
     _, minimum = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
-    common = _Common(*minimum[:_COMMON].tolist())
-    cameras, errors = [common.first_camera(setup)], []
+    cameras, errors = [bundle.first_camera(minimum.numpy())], []
     for pair, block in bundle.blocks:
         fitted = minimum.numpy()[block]
-        cameras.append(common.camera(setup, fitted[_COMMON:], pair.focal))
+        cameras.append(bundle.cameras(pair, fitted)[1])
         errors.append(float(np.median(np.hypot(*bundle.residuals(pair, fitted)))))
-    return Adjusted(common.adjusted(setup), tuple(cameras), tuple(errors))
+    values = minimum.numpy()
+    first = _adjusted(setup, values)
+    return Adjusted(first, tuple(cameras), tuple(errors), bundle, values)
 
 
 @dataclass(frozen=True)
@@ -143,17 +127,27 @@ class _Bundle:
 
     @property
     def blocks(self) -> Iterator[tuple[Pair, NDArray[np.int64]]]:
-        """Each pair with the indices of the parameters (11,) on which its residuals depend."""
-        return zip(self.pairs, parameter_blocks(_COMMON, len(self.pairs)), strict=True)
+        """Each pair with the indices of the parameters (11,) on which its residuals depend: the
+        common ones, and its photograph's rotation vector and position.
+        """
+        for number, pair in enumerate(self.pairs):
+            yield pair, np.r_[:_COMMON, _COMMON + 6 * number + np.arange(6)]
+
+    def first_camera(self, parameters: Doubles) -> PosedCamera:
+        """The first photograph's, of parameters that begin with the common ones."""
+        distortion = float(parameters[1]), float(parameters[2])
+        return PosedCamera.of(_adjusted(self.setup, parameters), distortion)
+
+    def cameras(self, pair: Pair, parameters: Doubles) -> tuple[PosedCamera, PosedCamera]:
+        """The first photograph's camera and that of a pair's, of parameters (11,)."""
+        first = self.first_camera(parameters)
+        turn = np.asarray(cv2.Rodrigues(parameters[_COMMON:-3])[0], np.float64)
+        lens = replace(first.lens, focal=first.lens.focal * pair.focal)
+        return first, PosedCamera(turn, parameters[-3:], lens)
 
     def residuals(self, pair: Pair, parameters: Doubles) -> Doubles:
-        """(2, n) reprojection errors, pixels, less the part explained by relief.
-
-        `parameters` (11,) are the common ones and the photograph's pose.
-        """
-        common, pose = _Common(*parameters[:_COMMON].tolist()), parameters[_COMMON:]
-        first, camera = common.first_camera(self.setup), common.camera(self.setup, pose, pair.focal)
-        return less_relief(*reprojected(first, camera, pair, self.relief))
+        """(2, n) reprojection errors of parameters (11,), pixels, less what relief explains."""
+        return less_relief(*reprojected(*self.cameras(pair, parameters), pair, self.relief))
 
     def cost(self, parameters: Tensor) -> float:
         """Cost of parameters (5 + 6 pairs,)."""
@@ -177,12 +171,6 @@ class _Bundle:
             normal[np.ix_(block, block)] += weighted.T @ derivative
             gradient[block] += weighted.T @ residual.ravel()
         return torch.from_numpy(normal), torch.from_numpy(gradient)
-
-
-def parameter_blocks(shared: int, photographs: int) -> list[NDArray[np.int64]]:
-    """Indices of parameters by photograph: the `shared` first ones, and six of its own."""
-    own = shared + np.arange(6 * photographs).reshape(photographs, 6)
-    return [np.r_[:shared, each] for each in own]
 
 
 def reprojected(
@@ -240,11 +228,6 @@ _COMMON_DEPTH = 3.0
 # Tangent of the light's angle at which the displacement by shading is half the linear one.
 _SATURATED = 0.5
 _INDEPENDENT = 0.25  # share of features that are independent (do not overlap others)
-_FOCAL = 0.005  # prior standard deviation of the log focal length
-
-# Changes (10,) of two cameras: log focal length, k1, and the first camera's rotation about x and y,
-# which all photographs share; the other camera's rotation and position.
-_SHARED, _CHANGES = 4, 10
 
 
 @dataclass(frozen=True)
@@ -265,36 +248,56 @@ def camera_deviations(fit: Adjusted, pairs: Sequence[Pair]) -> CameraDeviations:
         fit: cameras after bundle adjustment.
         pairs: the matches they were fitted to.
     """
-    first, *others = fit.cameras
-    each = list(zip(others, _covariances(fit, pairs), strict=True))
-    return CameraDeviations(
-        np.array([_position_deviation(first, *one) for one in each]),
-        np.array([_misregistration(first, *one) for one in each]),
-    )
+    bundle = replace(fit.bundle, pairs=pairs, relief=RELIEF)
+    covariance, positions, misregistration = _covariance(bundle, fit.parameters), [], []
+    for pair, block in bundle.blocks:
+        values, own = fit.parameters[block], covariance[np.ix_(block, block)]
+        first, camera = bundle.cameras(pair, values)
+        farther = float(np.linalg.norm(camera.place) / np.linalg.norm(first.place))
+        variance = _variance(partial(_baseline, bundle, pair), values, own)
+        positions.append(math.sqrt(float(variance.sum())) / farther)
+        points = grid_points(16, 12).reshape(3, -1)
+        both = (np.abs(camera.sees(points)) < 1.0).all(0)
+        image = first.sees(points[:, both] if both.any() else points)
+        variance = _variance(partial(_registered, bundle, pair, image, camera), values, own)
+        misregistration.append(math.sqrt(2.0 * float(variance.mean())))
+    return CameraDeviations(np.array(positions), np.array(misregistration))
 
 
-def _covariances(fit: Adjusted, pairs: Sequence[Pair]) -> list[Doubles]:
-    """(10, 10) covariance of the changes of each other photograph, error by shading included."""
-    first, *others = fit.cameras
-    deviation = np.array([_FOCAL, DISTORTION[0], TILT, TILT])
-    blocks = parameter_blocks(_SHARED, len(pairs))
-    normal = np.diag(np.r_[deviation**-2, np.zeros(6 * len(pairs))])
-    gradient, depths = np.zeros(len(normal)), []
-    for camera, pair, block in zip(others, pairs, blocks, strict=True):
-        residual, parallax = reprojected(first, camera, pair, RELIEF)
+def _baseline(bundle: _Bundle, pair: Pair, parameters: Doubles) -> Doubles:
+    """(3,) position of a pair's camera in the frame of the first, over the first one's distance."""
+    first, camera = bundle.cameras(pair, parameters)
+    return np.asarray(first.turn @ (camera.place - first.place) / np.linalg.norm(first.place))
+
+
+def _registered(
+    bundle: _Bundle, pair: Pair, image: Doubles, estimated: PosedCamera, parameters: Doubles
+) -> Doubles:
+    """(2, n) plane points that the estimated camera takes for those at `image` in the first."""
+    first, camera = bundle.cameras(pair, parameters)
+    return estimated.on_plane(camera.sees(first.on_plane(image)))[:2]
+
+
+def _covariance(bundle: _Bundle, values: Doubles) -> Doubles:
+    """(n, n) covariance of the bundle's parameters at `values` (n,), error by shading included."""
+    normal, gradient = 1e-9 * np.eye(len(values)), np.zeros(len(values))
+    normal[:_COMMON, :_COMMON] += np.diag(bundle.deviation**-2)
+    depths = []
+    for pair, block in bundle.blocks:
+        first, camera = bundle.cameras(pair, values[block])
+        residual, parallax = reprojected(first, camera, pair, bundle.relief)
         noise, depth = _scatter(residual, parallax)
         depths.append(depth)
-        by_change, by_depth = _linear(first, camera, pair)
+        derivative = jacobian(partial(bundle.residuals, pair), values[block], STEP)
+        by_depth = less_relief(_shading(first, camera, pair), parallax)
         # Matches beyond four standard deviations are outliers, with weight 0.
         kept = np.tile(np.hypot(*less_relief(residual, parallax)) < 4.0 * noise, 2)
-        weighted = by_change.T * (_INDEPENDENT * kept / noise**2)
-        normal[np.ix_(block, block)] += weighted @ by_change
-        gradient[block] += weighted @ by_depth
-    covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.eye(len(normal))), np.float64)
-    depth = float(np.median(depths)) if depths else 0.0
-    by_shading = _COMMON_DEPTH * depth * (covariance @ gradient)
-    covariance += np.outer(by_shading, by_shading)
-    return [covariance[np.ix_(block, block)] for block in blocks]
+        weighted = derivative.T * (_INDEPENDENT * kept / noise**2)
+        normal[np.ix_(block, block)] += weighted @ derivative
+        gradient[block] += weighted @ by_depth.ravel()
+    covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    by_shading = _COMMON_DEPTH * float(np.median(depths or [0.0])) * (covariance @ gradient)
+    return covariance + np.outer(by_shading, by_shading)
 
 
 def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
@@ -305,19 +308,6 @@ def _scatter(residual: Doubles, parallax: Doubles) -> tuple[float, float]:
     noise = max(1.48 * float(np.nanmedian(np.abs(across))), 0.05)
     pixels = float(np.nanmedian(length)) / RELIEF
     return noise, 1.48 * float(np.nanmedian(np.abs(along))) / pixels
-
-
-def _linear(first: PosedCamera, camera: PosedCamera, pair: Pair) -> tuple[Doubles, Doubles]:
-    """(2n, 10) d residual / d change of a photograph, and (2n,) d residual / d common depth."""
-    shading = _shading(first, camera, pair)
-
-    def residual(change: Doubles) -> Doubles:
-        errors, parallax = reprojected(*_changed(first, camera, change[:-1]), pair, RELIEF)
-        return less_relief(errors + change[-1] * shading, parallax)
-
-    derivative = jacobian(residual, np.zeros(_CHANGES + 1), STEP)
-    by_change, by_depth = np.split(derivative, [_CHANGES], 1)
-    return by_change, by_depth.ravel()
 
 
 def _shading(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
@@ -333,54 +323,7 @@ def _shading(first: PosedCamera, camera: PosedCamera, pair: Pair) -> Doubles:
     return (camera.sees(points + STEP * shift) - camera.sees(points)) / (STEP * pair.pixel)
 
 
-def _changed(
-    first: PosedCamera, camera: PosedCamera, change: Doubles
-) -> tuple[PosedCamera, PosedCamera]:
-    """The first camera and another after a change (10,)."""
-    (log_focal, k1), first_turn, turn, place = np.split(change, (2, _SHARED, 7))
-
-    def lens(old: Lens) -> Lens:
-        distortion = old.distortion[0] + k1, old.distortion[1]
-        return Lens(old.focal * math.exp(log_focal), distortion)
-
-    rotation = _rotation(np.r_[first_turn, 0.0])
-    one = PosedCamera(first.turn @ rotation.T, rotation @ first.place, lens(first.lens))
-    turned = _rotation(turn) @ camera.turn
-    return one, PosedCamera(turned, camera.place + place, lens(camera.lens))
-
-
-def _rotation(vector: Doubles) -> Doubles:
-    """(3, 3) rotation by a small vector, to first order and orthogonal to second."""
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
-
-
-def _position_deviation(first: PosedCamera, camera: PosedCamera, covariance: Doubles) -> float:
-    """Standard deviation of a camera's position in the first one's frame, over its distance."""
-
-    def between(change: Doubles) -> Doubles:
-        one, other = _changed(first, camera, change)
-        return np.asarray(one.turn @ (other.place - one.place))
-
-    variance = _variance(between, covariance)
-    return math.sqrt(float(variance.sum())) / float(np.linalg.norm(camera.place))
-
-
-def _misregistration(first: PosedCamera, camera: PosedCamera, covariance: Doubles) -> float:
-    """Registration error of a photograph to the first, plane units, where both show the plane."""
-    points = grid_points(16, 12).reshape(3, -1)
-    both = (np.abs(camera.sees(points)) < 1.0).all(0)
-    image = first.sees(points[:, both] if both.any() else points)
-
-    def place(change: Doubles) -> Doubles:
-        one, other = _changed(first, camera, change)
-        return camera.on_plane(other.sees(one.on_plane(image)))[:2]
-
-    return math.sqrt(2.0 * float(_variance(place, covariance).mean()))
-
-
-def _variance(f: Callable[[Doubles], Doubles], covariance: Doubles) -> Doubles:
-    """(n,) variances of f(change), flattened, by linear propagation of the change's covariance."""
-    derivative = jacobian(f, np.zeros(_CHANGES), STEP)
+def _variance(f: Callable[[Doubles], Doubles], at: Doubles, covariance: Doubles) -> Doubles:
+    """(n,) variances of f(parameters), flattened, by linear propagation of their covariance."""
+    derivative = jacobian(f, at, STEP)
     return np.asarray(np.einsum("ni,ij,nj->n", derivative, covariance, derivative))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from matcap.capture.registration.camera import (
@@ -30,8 +31,6 @@ from matcap.photo.photo import Photo
 
 
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
-
-_AT_ONCE = 1024  # rows of the distance matrix computed at a time, 25 MB
 
 # Settings of detection and matching.
 LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
@@ -146,29 +145,17 @@ def mutual_nearest(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Indices of mutual nearest neighbours of descriptors (n, 128) and (m, 128).
 
-    Squared distances |a|^2 + |b|^2 - 2 a b by one matrix product, five times as fast as a matcher.
-
     Args:
         first, second: at least two rows each.
         ratio: upper limit of the ratio test, nearest over second nearest distance.
     """
-    lengths = np.square(second).sum(1)
-    nearest, clear = np.zeros(len(first), np.int64), np.zeros(len(first), bool)
-    back, least = np.zeros(len(second), np.int64), np.full(len(second), np.inf, np.float32)
-    for top in range(0, len(first), _AT_ONCE):
-        some = first[top : top + _AT_ONCE]
-        distances = np.square(some).sum(1)[:, None] + lengths - 2.0 * (some @ second.T)
-        rows = np.arange(len(some))
-        low, row = distances.min(0), distances.argmin(0)
-        back[low < least] = top + row[low < least]
-        least = np.minimum(least, low)
-        best = distances.argmin(1)
-        closest = distances[rows, best]
-        distances[rows, best] = np.inf
-        nearest[top + rows] = best
-        clear[top + rows] = np.maximum(closest, 0.0) < ratio**2 * distances.min(1)
-    kept = np.flatnonzero(clear & (back[nearest] == np.arange(len(first))))
-    return kept, nearest[kept]
+    distances = torch.cdist(torch.from_numpy(first), torch.from_numpy(second))
+    closest, nearest = distances.min(1)
+    back = distances.argmin(0)
+    distances.scatter_(1, nearest[:, None], torch.inf)
+    clear = closest < ratio * distances.amin(1)
+    kept = (clear & (back[nearest] == torch.arange(len(first)))).nonzero()[:, 0]
+    return kept.numpy(), nearest[kept].numpy()
 
 
 def _homography(one: Doubles, other: Doubles) -> tuple[Doubles | None, NDArray[np.bool_]]:
@@ -259,28 +246,34 @@ _FINE = (0.7, 1.4)  # standard deviations of the two Gaussians of the finest ban
 _LONG = (2.8, 5.6)  # standard deviations of the two Gaussians of the longer band, texels
 
 
-def texture_correlation(
-    first: Photo, first_camera: PosedCamera, second: Photo, second_camera: PosedCamera
-) -> float:
-    """Correlation of the fine texture of two registered photographs over their overlap.
+def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[float]:
+    """Correlation of the fine texture of each photograph but the first with it, over their overlap.
 
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
-    """
-    down = round(_COMPARED * first.pixels.shape[0] / first.pixels.shape[1])
-    texture, inside = _texture(first, first_camera, down)
-    other, other_inside = _texture(second, second_camera, down)
-    both = inside & other_inside
-    if both.mean() < 0.05:
-        return -1.0
 
-    def correlation(x: int, y: int) -> float:
+    Args:
+        seen: photographs with their cameras.
+    """
+    rows, columns = seen[0][0].pixels.shape[:2]
+    (texture, inside), *others = (
+        _texture(*each, round(_COMPARED * rows / columns)) for each in seen
+    )
+
+    def correlation(other: ChannelPlane, both: NDArray[np.bool_], x: int, y: int) -> float:
         a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
         return float((a * b).mean() / max(float(np.sqrt((a * a).mean() * (b * b).mean())), 1e-9))
 
-    far = _SHIFTED
-    shifted = max(correlation(x, y) for x, y in ((far, 0), (-far, 0), (0, far), (0, -far)))
-    aligned = correlation(0, 0)
-    return aligned if aligned > shifted else -1.0
+    correlations, far = [], _SHIFTED
+    for other, other_inside in others:
+        both = inside & other_inside
+        if both.mean() < 0.05:
+            correlations.append(-1.0)
+            continue
+        shifts = ((far, 0), (-far, 0), (0, far), (0, -far))
+        shifted = max(correlation(other, both, x, y) for x, y in shifts)
+        aligned = correlation(other, both, 0, 0)
+        correlations.append(aligned if aligned > shifted else -1.0)
+    return correlations
 
 
 def _texture(
@@ -288,7 +281,7 @@ def _texture(
 ) -> tuple[ChannelPlane, NDArray[np.bool_]]:
     """(down, _COMPARED) high-passed log radiance over its local contrast on the plane, its mask."""
     size = (_COMPARED, down)
-    log, inside = _log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
+    log, inside = log_on_grid(photo, camera, size, _COMPARED, 1e-5, cv2.INTER_LINEAR)
     fine = _band(log, 1.0, 6.0)
     contrast = np.sqrt(cv2.GaussianBlur(fine * fine, (0, 0), 12.0)) + 1e-4
     return (fine / contrast).astype(np.float32), inside
@@ -313,7 +306,7 @@ def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.fl
     """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
     down = round(_ACROSS * first.pixels.shape[0] / first.pixels.shape[1])
     wide = min(photo.pixels.shape[1], _ACROSS)
-    log, inside = _log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
+    log, inside = log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
     bands = (np.square(_band(log, *deviations)) for deviations in (_FINE, _LONG))
     tiles = (_TILES, max(2, round(_TILES * down / _ACROSS)))
     fine, long, seen = (
@@ -329,7 +322,7 @@ def _band(plane: ChannelPlane, fine: float, coarse: float) -> ChannelPlane:
     return np.asarray(near - far, np.float32)
 
 
-def _log_on_grid(
+def log_on_grid(
     photo: Photo, camera: PosedCamera, size: tuple[int, int], wide: int, darkest: float, how: int
 ) -> tuple[ChannelPlane, NDArray[np.bool_]]:
     """(down, across) each: log radiance of a photograph on the plane's grid, and where it is seen.

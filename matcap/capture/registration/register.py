@@ -16,7 +16,7 @@ from matcap.capture.registration.keypoints import (
     is_periodic,
     losses_of_sharpness,
     match_photographs,
-    texture_correlation,
+    texture_correlations,
 )
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
@@ -124,20 +124,25 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
             "name a photograph with flash first, from the middle",
         )
     pairs, left_out = _matched(photos)
-    adjusted, blurred, worst = _adjusted(photos, setup, pairs, dark)
-    while worst:
-        # Fit again without it, as it affects the others.
-        index, why = worst
-        left_out[index] = why
+    while True:
+        # Fit again without the worst one, as it affects the others.
+        fitted = _Fitted.of(photos, setup, pairs, dark)
+        worst = fitted.worst(photos, dark)
+        if worst is None:
+            break
+        index, left_out[index] = worst
         del pairs[index]
-        adjusted, blurred, worst = _adjusted(photos, setup, pairs, dark)
-    views, worse = _views(photos, pairs, dark, adjusted)
-    left_out |= worse
+    views = fitted.views(photos, pairs, dark)
+    unlit = sorted((n for n in views if n in dark), key=lambda n: -views[n].matches)
+    for index in unlit[1:]:
+        left_out[index] = f"{photos[unlit[0]].name} shows the ambient light better"
+    shown = [view for view in views.values() if view.flash] + [views[n] for n in unlit[:1]]
     named = tuple(
         LeftOut(photos[index].name, f"{dark[index]}; {why}" if index in dark else why)
         for index, why in sorted(left_out.items())
     )
-    return Registration(adjusted.first, views, named, blurred)
+    blurred = fitted.losses[0] > _BLURRED
+    return Registration(fitted.adjusted.first, tuple(shown), named, blurred)
 
 
 def _matched(photos: Sequence[Photo]) -> tuple[dict[int, Pair], dict[int, str]]:
@@ -159,102 +164,87 @@ def _matched(photos: Sequence[Photo]) -> tuple[dict[int, Pair], dict[int, str]]:
     return pairs, left_out
 
 
-def _adjusted(
-    photos: Sequence[Photo], setup: FlashSetup, pairs: Mapping[int, Pair], dark: Container[int]
-) -> tuple[Adjusted, bool, tuple[int, str] | None]:
-    """Bundle adjustment, whether the first is blurred, and the photograph to leave out, if any.
+@dataclass(frozen=True)
+class _Fitted:
+    """Bundle adjustment of some photographs, and how well they fit; by index, the first one's 0."""
 
-    The latter is (index, reason): that with the least plausible camera or, if all are plausible,
-    the most blurred.
-    """
-    known = photos[0].fov_source != "assumed"
-    distortion = _STRAIGHT if all(index in dark for index in pairs) else DISTORTION
-    adjusted = adjust(setup, list(pairs.values()), known=known, distortion=distortion)
-    cameras = dict(zip([0, *pairs], adjusted.cameras, strict=True))
-    errors = dict(zip(pairs, adjusted.reprojection_errors, strict=True))
-    if implausible := _implausible(photos, cameras, errors):
-        return adjusted, False, implausible
-    lit = {index: camera for index, camera in cameras.items() if index not in dark}
-    return adjusted, *_blurred(photos, lit)
+    adjusted: Adjusted
+    errors: Mapping[int, float]
+    """Median reprojection error of each but the first, pixels."""
+    cameras: Mapping[int, PosedCamera]
+    correlations: Mapping[int, float]
+    """Correlation of fine texture of each but the first with it."""
+    losses: Mapping[int, float]
+    """Log loss of sharpness of each with flash."""
 
-
-def _views(
-    photos: Sequence[Photo],
-    pairs: Mapping[int, Pair],
-    dark: Container[int],
-    adjusted: Adjusted,
-) -> tuple[tuple[RegisteredView, ...], dict[int, str]]:
-    """Views with flash, then the best one without; and reasons by index for the others without."""
-    first, *others = adjusted.cameras
-    views = {0: RegisteredView(photos[0], first)}
-    deviations = camera_deviations(adjusted, list(pairs.values()))
-    measured = adjusted.reprojection_errors, deviations.positions, deviations.misregistration
-    for (index, pair), camera, error, position, misregistration in zip(
-        pairs.items(), others, *measured, strict=True
-    ):
-        views[index] = RegisteredView(
-            photos[index],
-            camera,
-            matches=pair.first.shape[1],
-            reprojection_error=error,
-            correlation=texture_correlation(photos[0], first, photos[index], camera),
-            flash=index not in dark,
-            position_deviation=float(position),
-            misregistration=float(misregistration),
+    @staticmethod
+    def of(
+        photos: Sequence[Photo],
+        setup: FlashSetup,
+        pairs: Mapping[int, Pair],
+        dark: Container[int],
+    ) -> _Fitted:
+        """Fit the cameras of matched photographs."""
+        known = photos[0].fov_source != "assumed"
+        distortion = _STRAIGHT if all(index in dark for index in pairs) else DISTORTION
+        adjusted = adjust(setup, list(pairs.values()), known=known, distortion=distortion)
+        cameras = dict(zip([0, *pairs], adjusted.cameras, strict=True))
+        seen = {n: (photos[n], camera) for n, camera in cameras.items()}
+        lit = [index for index in cameras if index not in dark]
+        losses = losses_of_sharpness([photos[n] for n in lit], [cameras[n] for n in lit])
+        return _Fitted(
+            adjusted,
+            dict(zip(pairs, adjusted.reprojection_errors, strict=True)),
+            cameras,
+            dict(zip(pairs, texture_correlations(list(seen.values())), strict=True)),
+            dict(zip(lit, losses, strict=True)),
         )
-    unlit = sorted((n for n in views if n in dark), key=lambda n: -views[n].matches)
-    lit = (view for view in views.values() if view.flash)
-    worse = {
-        index: f"{photos[unlit[0]].name} shows the ambient light better" for index in unlit[1:]
-    }
-    return (*lit, *(views[index] for index in unlit[:1])), worse
 
+    def worst(self, photos: Sequence[Photo], dark: Container[int]) -> tuple[int, str] | None:
+        """(index, reason) of the photograph to leave out, if any.
 
-def _blurred(
-    photos: Sequence[Photo], cameras: Mapping[int, PosedCamera]
-) -> tuple[bool, tuple[int, str] | None]:
-    """Whether the first is blurred; and (index, reason) of the most blurred other, if any.
-
-    `cameras` are those of the photographs with flash, by index.
-    """
-    losses = losses_of_sharpness([photos[index] for index in cameras], list(cameras.values()))
-    others = list(zip(losses, cameras, strict=True))[1:]
-    loss, index = max(others, default=(0.0, 0))
-    why = f"it is blurred: its finest detail is {math.exp(-loss):.0%} of the others'"
-    return losses[0] > _BLURRED, (index, why) if loss > _BLURRED else None
-
-
-def _implausible(
-    photos: Sequence[Photo], cameras: Mapping[int, PosedCamera], errors: Mapping[int, float]
-) -> tuple[int, str] | None:
-    """(index, reason) of the photograph with the least plausible camera, if any is implausible.
-
-    Args:
-        photos: all.
-        cameras: by index, the first one's included.
-        errors: median reprojection errors by index, pixels.
-    """
-    wrong = []
-    for index, error in errors.items():
-        camera = cameras[index]
-        tilt = math.degrees(camera.tilt)
-        if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
-            wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
-        elif error > _REPROJECTION:
-            why = f"its matches are {error:.1f} pixels off: the sample moved or is not flat"
-            wrong.append((error / _REPROJECTION, index, why))
-        elif tilt > _STEEPEST:
-            why = (
-                f"its camera is {tilt:.0f} degrees off vertical, at most {_STEEPEST:.0f} are "
-                "allowed"
-            )
-            wrong.append((1.0, index, why))
-        else:
-            correlation = texture_correlation(photos[0], cameras[0], photos[index], camera)
-            if correlation < _CORRELATION:
+        That with the least plausible camera or, if all are plausible, the most blurred.
+        """
+        wrong = []
+        for index, error in self.errors.items():
+            camera = self.cameras[index]
+            tilt, correlation = math.degrees(camera.tilt), self.correlations[index]
+            if not np.isfinite(camera.place).all() or camera.place[2] <= 0.05:
+                wrong.append((math.inf, index, "its matches fit no camera above a flat sample"))
+            elif error > _REPROJECTION:
+                why = f"its matches are {error:.1f} pixels off: the sample moved or is not flat"
+                wrong.append((error / _REPROJECTION, index, why))
+            elif tilt > _STEEPEST:
+                why = f"its camera is {tilt:.0f} degrees off vertical"
+                wrong.append((1.0, index, f"{why}, at most {_STEEPEST:.0f} are allowed"))
+            elif correlation < _CORRELATION:
                 why = f"it differs from {photos[0].name} at the same place, or is blurred"
                 wrong.append((1.0 + _CORRELATION - correlation, index, why))
-    return max(wrong)[1:] if wrong else None
+        if wrong:
+            return max(wrong)[1:]
+        loss, index = max(((loss, n) for n, loss in self.losses.items() if n), default=(0.0, 0))
+        why = f"it is blurred: its finest detail is {math.exp(-loss):.0%} of the others'"
+        return (index, why) if loss > _BLURRED else None
+
+    def views(
+        self, photos: Sequence[Photo], pairs: Mapping[int, Pair], dark: Container[int]
+    ) -> dict[int, RegisteredView]:
+        """The photographs with their cameras, by index."""
+        views = {0: RegisteredView(photos[0], self.cameras[0])}
+        fitted = camera_deviations(self.adjusted, list(pairs.values()))
+        deviations = zip(pairs, fitted.positions, fitted.misregistration, strict=True)
+        for index, position, misregistration in deviations:
+            views[index] = RegisteredView(
+                photos[index],
+                self.cameras[index],
+                matches=pairs[index].first.shape[1],
+                reprojection_error=self.errors[index],
+                correlation=self.correlations[index],
+                flash=index not in dark,
+                position_deviation=float(position),
+                misregistration=float(misregistration),
+            )
+        return views
 
 
 def flash_first(photos: Sequence[Photo]) -> list[Photo]:

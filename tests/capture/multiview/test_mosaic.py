@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,28 +12,24 @@ from seen_views import photographed
 from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, hold, true_maps_along
 
-from matcap.brdf.cook_torrance import F0
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.multiview import mosaic as mosaic_module
+from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.mosaic import (
     LEAST,
     STEEPEST,
-    Mosaic,
-    OwnPlane,
-    fused,
     mosaic_of,
-    resampled_over,
-    scatter,
+    own_plane,
+    predicted_beyond,
+    resampled,
     seen_by_any,
     sees,
     spread_over,
-    unpredicted,
-    with_others,
 )
-from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of
-from matcap.capture.multiview.views import SharedLight, ViewWarp
+from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
+from matcap.capture.multiview.views import SharedLight
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import PosedCamera, grid_points
@@ -139,8 +135,6 @@ def test_the_first_prediction_is_extended_smoothly_with_its_scatter_as_error():
     maps, log_error = _drawn(SIZE), torch.full((4, *SIZE[::-1]), -2.0)
     read = Estimate(maps, log_error)
     assert spread_over(read, Margins()) is read
-    assert torch.equal(unpredicted(log_error, Mosaic.own(SIZE)), log_error)
-
     margins = Margins(right=64, bottom=20)
     spread = spread_over(read, margins)
     over, unsure = spread.maps, spread.log_error
@@ -150,43 +144,71 @@ def test_the_first_prediction_is_extended_smoothly_with_its_scatter_as_error():
     beyond = over.diffuse[:, :, SIZE[0] + 20 :]
     assert float(beyond.log().std()) < 0.5 * float(maps.diffuse.log().std())
     assert float(beyond.mean()) == pytest.approx(0.3, rel=0.1)
-    torch.testing.assert_close(unsure[:, -1, -1], scatter(read))
-    nowhere = unpredicted(unsure, Mosaic(margins, SIZE))
-    assert (nowhere[:, :, SIZE[0] :] > 3.0).all() and torch.equal(nowhere[:, *inside], log_error)
+    albedo = parameters_of(maps)[:3].mean(0)
+    assert float(unsure[0, -1, -1]) == pytest.approx(0.5 * math.log(albedo.var() + math.exp(-4.0)))
+
+
+def _beyond(prediction, reach=0.5, at=0.0):
+    """The mosaic of a flat first photograph, and what another's prediction makes beyond it.
+
+    The other looks straight down from `reach` to the right; `prediction` is made of its plane.
+    """
+    first, other = _view(_camera(x=at)), _view(_camera(x=at + reach))
+    mosaic = mosaic_of([first, other], SIZE)
+    setup = FlashSetup(fov=PHONE.fov)
+    alignment = Aligned.of((first, other), setup, mosaic.extent)
+    flat = replace(_drawn(SIZE), diffuse=torch.full((3, *SIZE[::-1]), 0.3))
+    flat = replace(flat, height=torch.zeros(1, *SIZE[::-1]))
+    spread = spread_over(Estimate(flat, torch.full((4, *SIZE[::-1]), -2.0)), mosaic.margins)
+    coarse = SimpleCoarse(setup)
+    return mosaic, flat, predicted_beyond(alignment, spread, mosaic, coarse, prediction)
+
+
+@dataclass(frozen=True)
+class SimpleCoarse:
+    """A coarse fit of which only the setup counts."""
+
+    setup: FlashSetup
+
+
+def _gold(plane, _fit):
+    """A darker, coloured metal of known relief, seen from its own plane."""
+    width, height = plane.size
+    points = grid_points(width, height)
+    one = torch.ones(1, height, width)
+    wave = torch.from_numpy(0.01 * np.sin(9.0 * points[0])).float()[None]
+    gold = 0.3 * torch.tensor([1.3, 1.0, 0.7])[:, None, None] * one
+    maps = MapSet(0.1 * one.expand(3, -1, -1), gold, 0.4 * one, wave, 2.0 / width)
+    return Estimate(maps, torch.full((4, height, width), -3.0))
 
 
 def test_beyond_the_first_photograph_other_predictions_hold():
-    margins = Margins(right=64)
-    true = _drawn(margins.around(SIZE), 3)
-    smooth = torch.nn.functional.avg_pool2d(true.stacked()[None], 5, 1, 2)[0]
-    true = MapSet.from_stacked(smooth, 2.0 / SIZE[0])
-    first = true.crop(0, 0, *SIZE)
-    over = spread_over(Estimate(first, torch.full((4, *SIZE[::-1]), -3.0)), margins)
-    unsure = unpredicted(over.log_error, Mosaic(margins, SIZE))
-    over = replace(over, log_error=unsure)
-    found = with_others(over, [over, Estimate(true, torch.full_like(unsure, -3.0))])
-    off = (parameters_of(found.maps) - parameters_of(true))[:, 2:-2, 2:-2]
-    assert float(off[: SLOPES.start].abs().max()) < 0.01
-    # Slopes too, and without a step where the first one ends.
-    steep = float(parameters_of(true)[SLOPES].square().mean().sqrt())
-    assert float(off[SLOPES].square().mean().sqrt()) < 0.2 * steep
-    assert float(off[SLOPES][..., SIZE[0] - 4 : SIZE[0] + 4].square().mean().sqrt()) < 0.4 * steep
-    assert (found.log_error < -2.5).all()
+    mosaic, flat, found = _beyond(_gold)
+    first, parameters = SIZE[0], parameters_of(found.maps)
+    # What the other shows reaches to 0.5 beyond the first, less its border.
+    there = slice(first + 4, first + 20)
+    np.testing.assert_allclose(found.maps.diffuse[:, 16:-16, there], 0.1, rtol=0.02)
+    assert float((found.maps.specular[0] / found.maps.specular[2])[16:-16, there].min()) > 1.8
+    assert (found.log_error[:, 16:-16, there] < -2.9).all()
+    points = grid_points(*mosaic.margins.around(SIZE), mosaic.extent)
+    steep = torch.from_numpy(0.09 * np.cos(9.0 * (points[0] - 0.5))).float()
+    off = (parameters[SLOPES][0] - steep)[16:-16, there]
+    assert float(off.square().mean().sqrt()) < 0.2 * float(steep.square().mean().sqrt())
 
 
-def test_metal_beyond_the_first_photograph_has_the_colour_of_other_photographs():
-    margins, gold = Margins(right=64), torch.tensor([1.3, 1.0, 0.7])[:, None, None]
-    whole = margins.around(SIZE)[::-1]
-    maps = _drawn(whole[::-1])
-    other = replace(maps, specular=0.3 * gold.expand(3, *whole).contiguous())
-    over = spread_over(
-        Estimate(maps.crop(0, 0, *SIZE), torch.full((4, *SIZE[::-1]), -3.0)), margins
-    )
-    unsure = unpredicted(over.log_error, Mosaic(margins, SIZE))
-    over = replace(over, log_error=unsure)
-    found = with_others(over, [over, Estimate(other, torch.full_like(unsure, -3.0))]).maps.specular
-    torch.testing.assert_close(found[..., SIZE[0] + 4 :], other.specular[..., SIZE[0] + 4 :])
-    assert float((found[0] / found[2])[:, : SIZE[0] - 4].max()) < 1.5
+def test_within_the_first_photograph_its_own_prediction_holds():
+    _, flat, found = _beyond(_gold)
+    own = (..., slice(20, -20), slice(20, SIZE[0] - 20))
+    torch.testing.assert_close(found.maps.diffuse[own], flat.diffuse[own], rtol=1e-4, atol=0.0)
+    torch.testing.assert_close(found.maps.roughness[own], flat.roughness[own], rtol=1e-4, atol=1e-5)
+
+
+def test_predictions_join_without_a_step():
+    _, _, found = _beyond(_gold)
+    log = found.maps.diffuse[0].log()
+    assert float(log.max() - log.min()) > 1.0
+    joined = log[8:-8, : SIZE[0] + 16]  # the outermost border is of one alone
+    assert float(joined.diff(dim=1).abs().max()) < 0.2
 
 
 @pytest.fixture(scope="module")
@@ -257,37 +279,20 @@ def test_a_union_of_one_photograph_is_refused(tmp_path, capsys):
         assert "give two or more of one sample" in capsys.readouterr().err
 
 
-# Predictions of each photograph, fused in the first one's frame.
+# Predictions of each photograph, resampled to the first one's frame.
 
 
-VIEW_PREDICTIONS_PHONE = PhoneCamera(width=640, height=480)
-VIEW_PREDICTIONS_SIZE = (96, 128)
-DOUBT = torch.full((4, *VIEW_PREDICTIONS_SIZE), -2.0)  # of log errors
+OVER = (128, 96)
 
 
 @pytest.fixture(scope="module")
 def cameras():
-    return hold(VIEW_PREDICTIONS_PHONE, Hand(turned=0.2), 3, 4)
+    return hold(PHONE, Hand(turned=0.2), 3, 4)
 
 
 def _light():
     gain = torch.tensor([0.0, 0.3, 0.0])[:, None].expand(3, 3)
     return SharedLight(torch.tensor([0.04, -0.07]), torch.zeros(2), gain, torch.full((3,), 5.0))
-
-
-@pytest.fixture(scope="module")
-def brought(cameras):
-    """The second photograph's plane, and a function that resamples its maps to the first's."""
-    own = OwnPlane.of(cameras[1], _light(), 1)
-    warp = ViewWarp(np.eye(3), np.zeros((1, 1), np.float32), cameras[0].place)
-
-    def over(maps):
-        log_error = torch.full((4, *maps.size[::-1]), -2.0)
-        return resampled_over(
-            Estimate(maps, log_error), own, cameras[1], warp, VIEW_PREDICTIONS_SIZE[::-1]
-        )
-
-    return own, over
 
 
 def _waves(points, texel_size):
@@ -304,96 +309,35 @@ def _waves(points, texel_size):
 
 
 def test_a_camera_on_its_own_plane_projects_the_same_points(cameras):
-    own = OwnPlane.of(cameras[1], replace(_light(), centre=(0.1, 0.2)), 1)
+    setup, _, coordinates = own_plane(cameras[1], replace(_light(), centre=(0.1, 0.2)), 1)
     points = grid_points(16, 12)
-    here = np.concatenate([own.coordinates(points), np.zeros((1, 12, 16))])
-    seen = PosedCamera.of(own.setup).sees(here)
+    here = np.concatenate([coordinates(points), np.zeros((1, 12, 16))])
+    seen = PosedCamera.of(setup).sees(here)
     np.testing.assert_allclose(seen, cameras[1].sees(points), atol=1e-9)
-    assert own.setup.vignetting_centre == (0.1, 0.2)  # of image coordinates, which are the same
+    assert setup.vignetting_centre == (0.1, 0.2)  # of image coordinates, which are the same
     # And so does its flash, as strong at its own distance.
-    _, flash = camera_in_plane(own.setup)
+    _, flash = camera_in_plane(setup)
     away = np.linalg.norm(flash.numpy() - here.reshape(3, -1).T, axis=1)
     place = cameras[1].flash((0.04, -0.07, 0.0))
     there = np.linalg.norm(place - points.reshape(3, -1).T, axis=1)
     irradiance = 5.0 * math.exp(0.3) / there**2
-    np.testing.assert_allclose(own.setup.intensity[0] / away**2, irradiance, rtol=1e-6)
+    np.testing.assert_allclose(setup.intensity[0] / away**2, irradiance, rtol=1e-6)
 
 
-def test_a_prediction_is_resampled_to_the_first_photograph(cameras, brought):
-    own, over = brought
+def test_a_prediction_is_resampled_to_the_first_photograph(cameras):
+    own = own_plane(cameras[1], _light(), 1)
+    views = tuple(_view(camera) for camera in cameras)
+    alignment = Aligned.of(views, FlashSetup(fov=PHONE.fov))
     # The other plane's texels, as points of the first's.
-    across, down = 256, 192
-    theirs = PosedCamera.of(own.setup).sees(grid_points(across, down))
-    maps = _waves(cameras[1].on_plane(theirs), 2.0 / across)
-    read = over(replace(maps, height=maps.height / own.scale))
-    true = parameters_of(
-        _waves(
-            grid_points(VIEW_PREDICTIONS_SIZE[1], VIEW_PREDICTIONS_SIZE[0]),
-            2.0 / VIEW_PREDICTIONS_SIZE[1],
-        )
-    )
-    known = (read.log_error[3] < -1.9)[None].expand_as(true)
-    known = known & (torch.nn.functional.avg_pool2d(known.float(), 5, 1, 2) > 0.999)
-    assert 0.4 < known.float().mean() < 1.0
-    assert float((parameters_of(read.maps) - true)[known].abs().max()) < 0.03
-
-
-def test_borders_of_a_prediction_leave_no_step(brought):
-    theirs = brought[1](_waves(np.zeros((2, 192, 256)), 2.0 / 256))
-    otherwise = _waves(np.zeros((2, *VIEW_PREDICTIONS_SIZE)), 2.0 / VIEW_PREDICTIONS_SIZE[1])
-    otherwise = replace(otherwise, specular=math.e * otherwise.specular)
-    both = parameters_of(fused([Estimate(otherwise, DOUBT), theirs]).maps)[F0]
-    assert float(both.max() - both.min()) > 0.4
-    steps = torch.cat([both.diff(dim=0).abs().flatten(), both.diff(dim=1).abs().flatten()])
-    assert float(steps.max()) < 0.1
-
-
-def _read(maps, off, generator, log_error):
-    numbers = parameters_of(maps)
-    noise = off * torch.randn(numbers.shape, generator=generator)
-    noisy = maps_of(numbers + noise, maps.height, maps.texel_size)
-    return Estimate(noisy, torch.full((4, *VIEW_PREDICTIONS_SIZE), log_error))
-
-
-def test_fused_predictions_are_nearer_in_any_order_and_weighted_by_error():
-    maps = _waves(
-        grid_points(VIEW_PREDICTIONS_SIZE[1], VIEW_PREDICTIONS_SIZE[0]),
-        2.0 / VIEW_PREDICTIONS_SIZE[1],
-    )
-    generator = torch.Generator().manual_seed(0)
-    read = [_read(maps, 0.1, generator, math.log(0.1)) for _ in range(3)]
-    wild = _read(maps, 3.0, generator, math.log(3.0))
-
-    def off(readings):
-        return float(
-            (parameters_of(fused(readings).maps)[:5] - parameters_of(maps)[:5]).square().mean()
-        )
-
-    assert off(read) < 0.4 * off(read[:1])
-    assert off([*read, wild]) < 1.1 * off(read)
-    forth, back = fused(read).maps, fused(read[::-1]).maps
-    torch.testing.assert_close(forth.stacked(), back.stacked(), atol=1e-4, rtol=0.0)
-    # Three are surer than one, but not as if they erred each on their own.
-    surer = float((fused(read).log_error - fused(read[:1]).log_error).mean())
-    assert math.log(1.0 / math.sqrt(3.0)) < surer < -0.1
-
-
-def test_other_predictions_leave_the_fine_waves_of_the_first():
-    rng = torch.Generator().manual_seed(5)
-    fine = tuple(2 * side for side in VIEW_PREDICTIONS_SIZE)
-    maps = _waves(grid_points(fine[1], fine[0]), 2.0 / fine[1])
-    maps = replace(maps, diffuse=maps.diffuse * (0.1 * torch.randn(3, *fine, generator=rng)).exp())
-    log_error = torch.full((4, *fine), -2.0)
-    small = MapSet.from_stacked(
-        torch.nn.functional.avg_pool2d(maps.stacked()[None], 2)[0], 2.0 / VIEW_PREDICTIONS_SIZE[1]
-    )
-    first = Estimate(small, DOUBT)
-    alone = Estimate(maps, log_error)
-    same = with_others(alone, [first])
-    torch.testing.assert_close(same.maps.stacked(), maps.stacked(), atol=1e-4, rtol=0.0)
-    torch.testing.assert_close(same.log_error, log_error)
-    darker = Estimate(replace(small, diffuse=math.exp(-0.4) * small.diffuse), DOUBT)
-    both = with_others(alone, [first, darker])
-    log = both.maps.diffuse.log()
-    torch.testing.assert_close(log, maps.diffuse.log() - 0.2, atol=0.01, rtol=0.0)
-    assert (both.log_error < log_error).all()
+    theirs = PosedCamera.of(own[0]).sees(grid_points(256, 192))
+    maps = _waves(cameras[1].on_plane(theirs), 2.0 / 256)
+    maps = replace(maps, height=maps.height / own[1])
+    read = Estimate(maps, torch.full((4, 192, 256), -2.0))
+    found, log_error, weight = resampled(read, own, alignment, 1, OVER)
+    true = parameters_of(_waves(grid_points(*OVER), 2.0 / OVER[0]))
+    known = weight > 0.5
+    assert 0.3 < known.float().mean() < 1.0
+    assert float((found - true)[:, known].abs().max()) < 0.03
+    torch.testing.assert_close(log_error[:, known], torch.full_like(log_error[:, known], -2.0))
+    # Weights fall to 0 at the border without a step.
+    assert float(weight.min()) == 0.0 and float(weight.diff(dim=1).abs().max()) < 0.2
