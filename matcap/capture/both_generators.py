@@ -86,7 +86,7 @@ def _tuned(
         plane = _at_resolution(rectified, drawing)
         lying = replace(rectified, coarse=coarse, whole=plane, waves=(), network_input=plane)
         most = effort.steps * effort.places
-        target = photograph_target(lying, settings, Method(), most)
+        target = photograph_target(lying, Method(), most)
         unit = self_difference(target.windows, target.weights)
         tune = TuneSettings(
             effort.steps,

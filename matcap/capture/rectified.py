@@ -69,16 +69,14 @@ def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = 
 def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
     """Tilt about x and y by source, degrees; None without a measurement.
 
-    Keys: `used`; `branch`, the alignment branch's, with its standard deviation `branch_std`; and
-    `picture`, the coarse fit's without the branch.
+    Keys: `used`; and `branch`, the alignment branch's, with its standard deviation `branch_std`.
     """
-    if coarse.tilt_prior is None or coarse.picture_tilt is None:
+    if coarse.tilt_prior is None:
         return None
     return {
         "used": _degrees(coarse.setup.tilt),
         "branch": _degrees(coarse.tilt_prior.mean),
         "branch_std": _degrees(coarse.tilt_prior.std),
-        "picture": _degrees(coarse.picture_tilt),
     }
 
 
@@ -87,11 +85,9 @@ def tilt_line(document: Mapping[str, Any]) -> str:
     x, y = document["used"]
     bx, by = document["branch"]
     sx, sy = document["branch_std"]
-    px, py = document["picture"]
     return (
         f"Tilt about x and y: {x:.1f} and {y:.1f} degrees; the alignment branch says {bx:.1f} "
-        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f}), the picture alone {px:.1f} "
-        f"and {py:.1f}."
+        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f})."
     )
 
 

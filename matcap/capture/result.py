@@ -171,12 +171,10 @@ def judge_material(
         whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
         compared = np.where(kept, whole, landscape)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
-        drawn = None if tuning is None else maps
         about = None
         if estimate is not None:
-            about = ExemplarMeasurements.of(
-                estimate, rectified, material.setup, drawn, settings.seed
-            )
+            seed = settings.seed if tuning is None else None
+            about = ExemplarMeasurements.of(estimate, rectified, material.setup, seed)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         inspected = checked(photo, rectified.coarse, plane)

@@ -34,10 +34,6 @@ QUICK_DETAIL = 512
 DETAIL = 1024
 FINE_DETAIL = 2048
 DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL)
-# Texture statistics by name (constructors in by_decoder.py), and whether each needs a file of
-# weights.
-STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
-STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
 # Settings that only the decoder uses: option, message and alternative for the other generator.
 _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
     {
@@ -47,11 +43,6 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
             "--preset or --detail in its place",
         ),
         "prior": ("--prior", "only a decoder starts from a prior", "leave it out"),
-        "statistics": (
-            "--statistics",
-            "only fine-tuning of a decoder compares texture statistics",
-            "leave it out",
-        ),
         "drawing": (
             "--no-drawing",
             "only a decoder has a drawing among its inputs",
@@ -99,37 +90,6 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 UNLIMITED = Effort("standard", 800)
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((75.0, FINE_DETAIL), (26.0, DETAIL), (0.0, QUICK_DETAIL))
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Choice of texture statistics."""
-
-    name: str = "filterbank"
-    """Key of STATISTICS."""
-    weights: Path | None = None
-    """torchvision's file of weights for VGG-19; None for the filter bank."""
-
-    def __str__(self) -> str:
-        return self.name if self.weights is None else f"{self.name}={self.weights}"
-
-    @staticmethod
-    def parse(text: str | Statistics) -> Statistics:
-        """Parse "filterbank" or "vgg19=FILE".
-
-        Raises:
-            UsageError: the name is unknown, or a file is missing or not allowed.
-        """
-        if isinstance(text, Statistics):
-            return text
-        name, given, path = text.partition("=")
-        wanted = STATISTICS.get(name)
-        if wanted is None or bool(wanted) != bool(given and path) or bool(given) != bool(path):
-            raise UsageError(
-                f"there are no statistics {text!r}",
-                remedy=f"choose {STATISTICS_WORDS.replace('|', ' or ')}",
-            )
-        return Statistics(name, Path(path) if path else None)
 
 
 @dataclass(frozen=True)
@@ -195,10 +155,6 @@ class CaptureSettings(CheckedSettings):
     prior: str = setting("auto", metavar="auto|none|PATH", group="Decoder")
     """With the decoder: trained prior to start from; auto is the one that comes with matcap, none a
     random initialisation."""
-    statistics: Statistics = setting(
-        Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse, group="Decoder"
-    )
-    """With the decoder: features whose statistics measure the texture distance."""
     generator: Generator | None = setting(
         None,
         words=("decoder", "example"),
@@ -233,7 +189,7 @@ class CaptureSettings(CheckedSettings):
 
     def named(self) -> dict[str, Any]:
         """All settings by name as JSON values."""
-        document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
+        document = asdict(self) | {"union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
         for name in ("white", "generator", *_BY_HAND):
             if document[name] is None:

@@ -10,7 +10,6 @@ from types import ModuleType
 from matcap.batch.samples import SETTINGS
 from matcap.brdf.folder import MEANINGS, PNG_ENCODINGS
 from matcap.brdf.maps import CHANNELS
-from matcap.capture.settings import Statistics
 from matcap.files.settings import field_docs
 from matcap.relight import scene
 from reference.docstrings import read, table
@@ -133,7 +132,7 @@ def _toml(default: object) -> str:
     """A default as the file would have it."""
     if default is None:
         return ""
-    if isinstance(default, str | Statistics):
+    if isinstance(default, str):
         return f'`"{default}"`'
     if isinstance(default, bool):
         return f"`{str(default).lower()}`"

@@ -94,8 +94,6 @@ class CoarseFit(Uniform):
     """Whether metal or dielectric was given, not measured."""
     tilt_prior: TiltPrior | None = None
     """Measurement of the tilt given as a prior, if any."""
-    picture_tilt: tuple[float, float] | None = None
-    """(tilt_x, tilt_y) fitted without that prior, radians; None without one."""
     tone: ToneCurve = ToneCurve()
     """The picture's tone curve; the identity where it has none."""
     level_deviation: float | None = None
@@ -226,17 +224,11 @@ def _fitted(
         last = replace(last, diffuse_share=diffuse_share.under(Unknowns.of(initial[0]).flash.exp()))
     best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
-    picture_tilt = None
-    if prior.tilt_alone is not None:
-        without = last.with_tilt(*prior.tilt_alone)
-        tilt_x, tilt_y = Unknowns.of(without.minimised(best, _FEW)[1]).tilt.tolist()
-        picture_tilt = (tilt_x, tilt_y)
     exponent = math.exp(float(Unknowns.of(best).tone))
     fit = CoarseFit(
         *_uniform(Unknowns.of(best), photo.fov, conductor=prior.conductor),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
         conductor=prior.conductor,
-        picture_tilt=picture_tilt,
         tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
         level_deviation=None if prior.conductor else last.level_deviation(best),
     )

@@ -102,8 +102,6 @@ class Hypothesis:
     """Whether `albedo` is F0 and nothing is diffuse."""
     tilt_known: bool
     """Whether the tilt is held."""
-    tilt_alone: tuple[Tensor, Tensor] | None
-    """Mean and deviation of the tilt without a measurement of it; None without one."""
 
 
 def hypothesis(
@@ -124,16 +122,14 @@ def hypothesis(
         deviation = replace(deviation, flash_colour=numbers(_FIXED, _FIXED))
     if photo.radiometric:
         deviation = replace(deviation, tilt=numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC))
-    alone = None
     if tilt is not None:
         mean = replace(mean, tilt=numbers(*tilt))
         deviation = replace(deviation, tilt=numbers(_FIXED, _FIXED))
     elif tilt_prior is not None:
-        alone = (mean.tilt, deviation.tilt)
         place, std = tilt_prior.posterior
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
     precision = torch.diag(deviation.vector().pow(-2))
-    return Hypothesis(mean, precision, conductor, tilt is not None, alone)
+    return Hypothesis(mean, precision, conductor, tilt is not None)
 
 
 # The coarse fit's cost, its normal equations, and its minimisation.
@@ -282,14 +278,6 @@ class Problem:
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
         nat = float(variance) / _CELLS_THAT_COUNT
         return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
-
-    def with_tilt(self, mean: Tensor, std: Tensor) -> Problem:
-        """The problem with another Gaussian prior of the tilt, (2,) each."""
-        precision = self.precision.clone()
-        precision[INDEX.tilt, INDEX.tilt] = self.unit * std.pow(-2)
-        return replace(
-            self, prior=replace(Unknowns.of(self.prior), tilt=mean).vector(), precision=precision
-        )
 
     @cached_property
     def weight(self) -> Tensor:
