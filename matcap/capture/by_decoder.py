@@ -7,8 +7,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import torch
-
 from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import FEATURES, WINDOW, Method, Rectified

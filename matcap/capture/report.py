@@ -29,11 +29,10 @@ Keys:
     photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share;
         `headroom`, the radiance at which it clips in units of white, null if nothing does.
     camera: `fov_degrees` and `fov_source`, distance, `tilt_degrees`, `tilt_sources` (degrees about
-        x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
-        `picture`, of the coarse fit without the branch; null of several photographs, where
-        registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
-        r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/photo.py) or
-        null.
+        x and y: `used`; and `branch`, of the alignment branch with standard deviation `branch_std`;
+        null of several photographs, where registration gives the tilt), flash offset and intensity,
+        vignetting coefficients of r^2 and r^4 and its centre (image coordinates), the `tone_curve`
+        that was undone (photo/photo.py) or null.
     texel_size: plane units.
     settings: of the user.
     effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
@@ -47,14 +46,12 @@ Keys:
         the texture of each one's field to the photograph's (capture/both_generators.py).
     latent: `code` of the photograph by the prior's encoder, and `prior`, the SHA-256 of its file.
     exemplar: or null: `error` (median difference of log radiance between photograph and
-        re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
+        re-rendering), `left_out` (share
         that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
         1), `patches` (their size, in words), `relief_spectrum` (root-mean-square slope and log
-        albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null), `sharpness`
-        (power of the finest octave, re-rendering over photograph), `level_deviation`
-        (standard deviation of the logarithm of a dielectric's albedo over its F0, to which one
-        photograph fixes its level; or null), `diffuse_share_residual` (of the share by ring against
-        the colour contrast of texture, in standard deviations, root mean square; or null),
+        albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null),
+        `level_deviation` (standard deviation of the logarithm of a dielectric's albedo over its F0,
+        to which one photograph fixes its level; or null),
         `confidence` (mean, by map), `specular_channels` (3 if F0 has a colour),
         `highlight_residue` (radial variation about the mirror point: of the logarithms of
         `albedo`, `specular` and `grain`, the amplitude of relief, and of `roughness`).
@@ -213,28 +210,16 @@ def _confidence_file(name: str) -> str:
 
 # Reading report.json; report.schema.json is its JSON Schema.
 #
-# Format 1 had other names for some entries; what it says is read as format 2.
+# Format 1 had other names for some entries.
 
 
 FORMAT, VERSION = "matcap report", 2
-# Entries that format 1 had under another name: where, old and new. "*" is every member.
+# Entries that matcap reads and that format 1 had under another name: where ("*" is every member),
+# old and new.
 _RENAMED = (
     ("", "several", "multi_view"),
-    ("error", "piece", "exemplar"),
-    ("effort", "places", "windows_per_step"),
     ("verdict.causes.*", "says", "message"),
     ("verdict.checks.*", "says", "message"),
-    ("verdict.checks", "piece", "exemplar"),
-    ("exemplar", "slow", "low_frequency_residual"),
-    ("exemplar", "strengths", "relief_spectrum"),
-    ("exemplar.relief_spectrum.bands.*", "waves", "wavelengths"),
-    ("multi_view.photographs.*", "likeness", "correlation"),
-    ("multi_view.photographs.*", "place", "position"),
-    ("multi_view.photographs.*", "doubt", "position_deviation"),
-    ("multi_view.photographs.*", "predicted", "leave_one_out_residual"),
-    ("multi_view.left_out.*", "why", "reason"),
-    ("multi_view", "union", "mosaic"),
-    ("multi_view.mosaic", "times", "area_ratio"),
 )
 
 
@@ -377,14 +362,11 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
     spectrum = estimate.relief_spectrum
     return {
         "error": estimate.error,
-        "low_frequency_residual": estimate.slow,
         "left_out": estimate.example.index.left_out,
         "variety": estimate.example.variety,
         "patches": summary(estimate.example).patches_text(),
         "relief_spectrum": spectrum and spectrum.document(),
-        "sharpness": estimate.sharpness,
         "level_deviation": estimate.level_deviation,
-        "diffuse_share_residual": estimate.diffuse_share_residual,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
         "highlight_residue": result.measurements.exemplar.residue,

@@ -53,7 +53,7 @@ _OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 # Settings that take the place of what the photograph says, of one photograph by example.
 _BY_HAND = ("metal", "albedo", "roughness")
 _STEP = 16  # texels: smallest alignment of a material
-_DECODER_TIMESS = 50_000_000  # bytes: upper bound of material, preview and report
+_OTHER_FILES = 50_000_000  # bytes: upper bound of material, preview and report
 
 
 @dataclass(frozen=True)
@@ -291,7 +291,7 @@ class OutputSettings(CheckedSettings):
         """Upper bound of the outputs' size on disk, bytes."""
         from matcap.brdf.folder import mapset_bytes
 
-        room = mapset_bytes(*self.size, png=self.png) + _DECODER_TIMESS
+        room = mapset_bytes(*self.size, png=self.png) + _OTHER_FILES
         if self.targets or self.maps:
             from matcap.export.targets import export_bytes
 
@@ -383,73 +383,37 @@ def resolve(settings: CaptureSettings) -> Effort:
 
 # Progress of a capture: its stages, each with its share of the time.
 
-
-# Stages of a capture in order, each with its share of the time, by report.json's stage_seconds of
-# one photograph of 12 megapixels with the preset `standard`.
-EXEMPLAR_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.02,
-        "coarse fit": 0.18,
-        "network": 0.06,
-        "relief spectrum": 0.03,
-        "refine": 0.07,
-        "inpaint": 0.10,
-        "index": 0.13,
-        "verdict": 0.24,
-        "write": 0.17,
-    }
-)
-_DECODER_TIMES = {
-    "statistics": 0.02, "start": 0.01, "fine-tuning": 0.22, "matching": 0.06, "choice": 0.04,
+# Processor seconds of stages, by report.json's stage_seconds of one photograph of 12 megapixels
+# with the preset `standard`; of five photographs; and of a decoder that is fine-tuned alone.
+_SECONDS = {
+    "read": 0.3, "coarse fit": 2.0, "network": 0.7, "relief spectrum": 0.35, "refine": 0.8,
+    "inpaint": 1.1, "index": 1.4, "verdict": 2.6, "write": 1.9,
+    "statistics": 0.3, "start": 0.15, "fine-tuning": 3.6, "matching": 0.9, "choice": 0.6,
 }  # fmt: skip
-_ALONE = 1.0 - sum(_DECODER_TIMES.values())
-_TIMES = {name: _ALONE * share for name, share in EXEMPLAR_STAGES.items()}
-# The same with a decoder beside the exemplar.
-BOTH_STAGES: Mapping[str, float] = MappingProxyType(
-    {**{name: share for name, share in _TIMES.items() if name != "write"}, **_DECODER_TIMES,
-     "write": _TIMES["write"]}
-)  # fmt: skip
-# The same of five photographs of one sample.
-MULTIVIEW_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.04,
-        "register": 0.12,
-        "coarse fit": 0.02,
-        "network": 0.11,
-        "relief spectrum": 0.04,
-        "refine": 0.05,
-        "align": 0.10,
-        "solve": 0.30,
-        "predict": 0.08,
-        "inpaint": 0.01,
-        "index": 0.05,
-        "verdict": 0.04,
-        "write": 0.04,
-    }
-)
-# The same of a decoder that reads a drawing, and of one that does not.
-DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.01,
-        "coarse fit": 0.02,
-        "network": 0.09,
-        "relief spectrum": 0.045,
-        "refine": 0.04,
-        "inpaint": 0.03,
-        "index": 0.03,
-        "statistics": 0.035,
-        "start": 0.005,
-        "fine-tuning": 0.62,
-        "matching": 0.025,
-        "verdict": 0.035,
-        "write": 0.015,
-    }
-)
+_OF_FIVE = {"register": 3.0, "network": 2.8, "align": 2.5, "solve": 7.5, "predict": 2.0}
 _EXEMPLAR = ("network", "relief spectrum", "refine", "inpaint", "index")
-_OTHERS = 1.0 - sum(DRAWING_STAGES[name] for name in _EXEMPLAR)
-DECODER_STAGES: Mapping[str, float] = MappingProxyType(
-    {name: share / _OTHERS for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
+_DECODER = ("statistics", "start", "fine-tuning", "matching")
+
+
+def _shares(names: Sequence[str], others: Mapping[str, float] | None = None) -> Mapping[str, float]:
+    """Share of each stage in the time of all, in order; `others` have other seconds."""
+    seconds = _SECONDS | dict(others or {})
+    whole = sum(seconds[name] for name in names)
+    return MappingProxyType({name: seconds[name] / whole for name in names})
+
+
+EXEMPLAR_STAGES = _shares(("read", "coarse fit", *_EXEMPLAR, "verdict", "write"))
+# With a decoder beside the exemplar.
+BOTH_STAGES = _shares(("read", "coarse fit", *_EXEMPLAR, "verdict", *_DECODER, "choice", "write"))
+# Of several photographs of one sample.
+_FITTED = ("coarse fit", "network", "relief spectrum", "refine", "align", "solve", "predict")
+MULTIVIEW_STAGES = _shares(
+    ("read", "register", *_FITTED, "inpaint", "index", "verdict", "write"), _OF_FIVE
 )
+# Of a decoder that reads a drawing, and of one that does not.
+_ALONE = {"fine-tuning": 30.0}
+DRAWING_STAGES = _shares(("read", "coarse fit", *_EXEMPLAR, *_DECODER, "verdict", "write"), _ALONE)
+DECODER_STAGES = _shares(("read", "coarse fit", *_DECODER, "verdict", "write"), _ALONE)
 
 # What is shown of a stage; several stages that a person need not tell apart have one name.
 _ESTIMATING = "estimating maps"

@@ -361,21 +361,6 @@ def fit_mean_parameters(
     return theta.reshape(start.shape), float((residual.abs() * weight).sum() / weight.sum())
 
 
-def diffuse_share_residual(target: RingTarget) -> float | None:
-    """Root mean square of the standardised residuals of the diffuse share by ring; None where it is
-    not measured.
-    """
-    if target.diffuse is None:
-        return None
-    (surface,) = target.surfaces(torch.zeros(1, 5))
-    incidence = target.flash.onto(target.normal)
-    off = _DiffuseRings(target, target.diffuse).residuals(
-        incidence.diffuse(surface.diffuse),
-        incidence.specular(surface.specular, surface.roughness),
-    )
-    return float(off.square().mean().sqrt()) / _NOISE
-
-
 class _DiffuseRings:
     """Residuals of the diffuse share by ring, of one class."""
 

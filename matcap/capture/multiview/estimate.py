@@ -119,11 +119,11 @@ def estimate_multiview(
         metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
-    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], 0.0)
+    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0])
     result = replace(
         result, interrupted=interrupted, several=report, scale=scale, turned=first.turned
     )
-    return rectified, result.with_sharpness(rectified)
+    return rectified, result
 
 
 def registered(
