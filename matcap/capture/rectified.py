@@ -21,7 +21,6 @@ from matcap.capture.settings import DETAIL
 from matcap.field.source import one_thread
 from matcap.flash.alignment import tilt_measurement
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
-from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 from matcap.flash.rectify import Plane, read_plane
@@ -58,10 +57,7 @@ def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = 
         measured: whether to use the alignment branch.
         metal: whether the material is metal; None to decide by the photograph.
     """
-    prior = None
-    if measured:
-        seen = tilt_measurement(photo)
-        prior = TiltPrior((seen.x, seen.y), (seen.std_x, seen.std_y))
+    prior = tilt_measurement(photo) if measured else None
     fitted = fit_coarse(photo, tilt_prior=prior, known_metal=metal)
     return rescale_to_flash(fitted, photo.flash_intensity)
 

@@ -30,8 +30,8 @@ from matcap.capture.report import OutputSettings, write_outputs
 from matcap.capture.settings import DETAIL, CaptureSettings
 from matcap.field.material import Material
 from matcap.field.opened import open_photographed
-from matcap.flash.alignment import TiltMeasurement
 from matcap.flash.coarse.fit import fit_coarse
+from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import FlashSetup, Margins
 from matcap.flash.rectify import plane_of
 from matcap.relight.photographed import photographed_scene
@@ -124,7 +124,7 @@ TILTED = tuple(
     (name, (0.2 * math.cos(angle), 0.2 * math.sin(angle)))
     for angle, name in enumerate(("leather", "granite", "rust"))
 )
-SAID = TiltMeasurement(math.radians(9.0), math.radians(-6.0), 1e-4, 1e-4)
+SAID = TiltPrior((math.radians(9.0), math.radians(-6.0)), (1e-4, 1e-4))
 
 
 def tilted_photo(name, tilt):
