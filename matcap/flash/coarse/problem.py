@@ -90,28 +90,14 @@ class TiltPrior:
         return measured * numbers(*self.mean) / precision, precision.rsqrt()
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """Gaussian prior of the unknowns, and whether they are a conductor's."""
-
-    mean: Unknowns
-    """Mean of the prior."""
-    precision: Tensor
-    """(17, 17) inverse covariance."""
-    conductor: bool
-    """Whether `albedo` is F0 and nothing is diffuse."""
-    tilt_known: bool
-    """Whether the tilt is held."""
-
-
-def hypothesis(
+def priors(
     photo: Photo,
     tilt: tuple[float, float] | None,
     tilt_prior: TiltPrior | None,
     *,
     conductor: bool,
-) -> Hypothesis:
-    """The prior of a photograph's parameters; arguments as of fit_coarse."""
+) -> tuple[Unknowns, Unknowns]:
+    """Mean and standard deviation of a photograph's parameters; arguments as of fit_coarse."""
     mean = replace(_MEAN, tone=numbers(photo.development.log_exponent))
     deviation = replace(_DEVIATION, tone=numbers(photo.development.deviation))
     if conductor:
@@ -128,8 +114,7 @@ def hypothesis(
     elif tilt_prior is not None:
         place, std = tilt_prior.posterior
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
-    precision = torch.diag(deviation.vector().pow(-2))
-    return Hypothesis(mean, precision, conductor, tilt is not None)
+    return mean, deviation
 
 
 # The coarse fit's cost, its normal equations, and its minimisation.
@@ -177,9 +162,9 @@ class HighlightMeasurements:
     """
 
     highlight: Highlight
-    weight: float = WEIGHT
     headroom: float = 1.0
     """Radiance at which the photograph clips."""
+    weight: float = WEIGHT
 
     @cached_property
     def image(self) -> Tensor:
@@ -230,14 +215,14 @@ class Problem:
     """Distance of the camera."""
     measurements: HighlightMeasurements | None
     """Measurements of the highlight, or None."""
-    diffuse_share: DiffuseRings | None
-    """Colour scatter of the texture by ring, or None."""
     prior: Tensor
     """(n,) the prior's mean."""
     precision: Tensor
     """(n, n) Hessian of the prior's cost."""
     unit: float
     """Cost of a nat of the prior."""
+    diffuse_share: DiffuseRings | None = None
+    """Colour scatter of the texture by ring, or None."""
     shoulder: float | None = None
     """Shoulder of the tone curve; None without one."""
     whitening: Tensor | None = None
