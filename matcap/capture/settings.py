@@ -34,22 +34,8 @@ QUICK_DETAIL = 512
 DETAIL = 1024
 FINE_DETAIL = 2048
 DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL)
-# Settings that only the decoder uses: option, message and alternative for the other generator.
-_OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
-    {
-        "steps": (
-            "--steps",
-            "only a decoder is fine-tuned in steps",
-            "--preset or --detail in its place",
-        ),
-        "prior": ("--prior", "only a decoder starts from a prior", "leave it out"),
-        "drawing": (
-            "--no-drawing",
-            "only a decoder has a drawing among its inputs",
-            "leave it out",
-        ),
-    }
-)
+# Settings that only the decoder uses, and their options.
+_OF_DECODER = {"steps": "--steps", "prior": "--prior", "drawing": "--no-drawing"}
 # Settings that take the place of what the photograph says, of one photograph by example.
 _BY_HAND = ("metal", "albedo", "roughness")
 _STEP = 16  # texels: smallest alignment of a material
@@ -353,12 +339,12 @@ def resolve(settings: CaptureSettings) -> Effort:
         )
     if settings.generator != "decoder":
         default = CaptureSettings()
-        for name, (option, what, otherwise) in _OF_DECODER.items():
+        for name, option in _OF_DECODER.items():
             if getattr(settings, name) != getattr(default, name):
                 raise UsageError.at(
                     option,
-                    what,
-                    f'give --generator decoder (generator = "decoder") with it, or {otherwise}',
+                    "only a decoder uses this",
+                    'give --generator decoder (generator = "decoder") with it, or leave it out',
                 )
     if settings.union and settings.generator == "decoder":
         raise UsageError.at(

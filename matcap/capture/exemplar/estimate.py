@@ -27,7 +27,7 @@ from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_sc
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.observation import Observation, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
-from matcap.capture.exemplar.refine import radiance_error, refine_maps, refitted_to_highlight
+from matcap.capture.exemplar.refine import radiance_residual, refine_maps, refitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
     ReliefSpectrum,
@@ -168,11 +168,14 @@ def estimate_exemplar(
     with clock.stage("index"):
         kept = None if whole.left_out is None else whole.kept.numpy()
         exemplar, example = indexed(exemplar, rectified.waves, turned=turned, kept=kept)
+    plane = observed.plane
+    photograph = plane.linear, plane.measured, observed.light
+    off = radiance_residual(prediction.residuals, *photograph)[:, plane.valid]
     return ExemplarEstimate(
         exemplar,
         example,
         spectrum,
-        radiance_error(observed, prediction),
+        float(off.abs().median()) if off.numel() else 0.0,
         scale=scale,
         level_deviation=coarse.level_deviation,
         turned=turned,

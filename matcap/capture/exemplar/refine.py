@@ -428,13 +428,12 @@ def with_photographed_mean(
     )
 
 
-def radiance_error(observed: Observation, prediction: NetworkPrediction) -> float:
-    """Median |log radiance of photograph - re-rendering| of valid texels."""
-    light, plane = observed.light, observed.plane
-    log, _ = light.rendered(light.maps(prediction.residuals))
-    off = _log_difference(plane.linear.clamp_min(DARKEST).log(), log, plane.measured)
-    seen = off[:, plane.valid].abs()
-    return float(seen.median()) if seen.numel() else 0.0
+def radiance_residual(
+    residuals: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
+) -> Tensor:
+    """(3, H, W) log radiance of the photograph less the re-rendering's; as of refine_albedo."""
+    log, _ = light.rendered(light.maps(residuals))
+    return _log_difference(linear.clamp_min(DARKEST).log(), log, valid)
 
 
 def _log_difference(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import torch
 import torch.nn.functional as F
@@ -32,15 +32,6 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 # features of the decoder (FiLM [perez2018]).
 
 
-# Number of channels of each input, in order.
-_INPUT_CHANNELS = {
-    "log": 3, "valid": 1, "tangent": 2, "slope_sensitivity": 2,
-    "roughness_sensitivity": 1, "gloss": 1, "uniform": 3, "relief": 2,
-}  # fmt: skip
-_DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
-INPUTS, ERRORS = sum(_INPUT_CHANNELS.values()), len(_DOUBTED)
-OUTPUTS = sum(CHANNELS.values())
-ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
 _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
@@ -69,9 +60,27 @@ class InverseConfig:
         return 2 ** len(self.widths)
 
 
+class _NamedPlanes:
+    """Planes of a tensor by name, (..., C, H, W) each."""
+
+    channels: ClassVar[tuple[int, ...]]
+    """C of each, in order."""
+
+    def stacked(self) -> Tensor:
+        """All planes concatenated, (..., sum of C, H, W)."""
+        return torch.cat(list(vars(self).values()), dim=-3)
+
+    @classmethod
+    def from_stacked(cls, stacked: Tensor) -> Self:
+        """The inverse of stacked()."""
+        return cls(*stacked.split(cls.channels, dim=-3))
+
+
 @dataclass(frozen=True)
-class NetworkInputs:
-    """Inputs of the network, (..., C, H, W) each (inputs.py)."""
+class NetworkInputs(_NamedPlanes):
+    """Inputs of the network."""
+
+    channels = (3, 1, 2, 2, 1, 1, 3, 2)
 
     log: Tensor
     """Log radiance over the uniform material's, 3 channels."""
@@ -90,19 +99,12 @@ class NetworkInputs:
     relief: Tensor
     """First-order estimate of the slope along x and y from log radiance."""
 
-    def stacked(self) -> Tensor:
-        """All inputs concatenated, (..., INPUTS, H, W)."""
-        return torch.cat([getattr(self, name) for name in _INPUT_CHANNELS], dim=-3)
-
-    @staticmethod
-    def from_stacked(stacked: Tensor) -> NetworkInputs:
-        """The inverse of stacked()."""
-        return NetworkInputs(*stacked.split(list(_INPUT_CHANNELS.values()), dim=-3))
-
 
 @dataclass(frozen=True)
-class ExpectedErrors:
-    """Logarithms of the expected absolute errors of a prediction, (..., 1, H, W) each."""
+class ExpectedErrors(_NamedPlanes):
+    """Logarithms of the expected absolute errors of a prediction."""
+
+    channels = (1, 1, 1, 1)
 
     albedo: Tensor
     """Log of the error of log albedo."""
@@ -113,14 +115,10 @@ class ExpectedErrors:
     slope: Tensor
     """Log of the error of slopes."""
 
-    def stacked(self) -> Tensor:
-        """All errors concatenated, (..., ERRORS, H, W)."""
-        return torch.cat([getattr(self, name) for name in _DOUBTED], dim=-3)
 
-    @staticmethod
-    def from_stacked(stacked: Tensor) -> ExpectedErrors:
-        """The inverse of stacked()."""
-        return ExpectedErrors(*stacked.split(list(_DOUBTED.values()), dim=-3))
+INPUTS, ERRORS = sum(NetworkInputs.channels), sum(ExpectedErrors.channels)
+OUTPUTS = sum(CHANNELS.values())
+ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
 
 
 @dataclass(frozen=True)
