@@ -73,7 +73,7 @@ def test_the_field_that_looks_like_the_photograph_is_chosen():
     photo = load_photo(PHOTO, long_side=DETAIL)
     coarse = fit_photograph(photo)
     rectified = Rectified.of(photo, coarse, DETAIL)
-    target, plane = photograph_target(rectified, SETTINGS, Method()), rectified.whole
+    target, plane = photograph_target(rectified, Method()), rectified.whole
     height, width = plane.linear.shape[1:]
     flat, uniform = torch.ones(1, height, width), torch.tensor(coarse.diffuse)[:, None, None]
     texture = plane.linear / shading(plane.linear[None])[0].clamp_min(1e-3)

@@ -196,7 +196,7 @@ class Inverse(nn.Module):
         """
         parts = NetworkInputs.from_stacked(inputs)
         weights = _weightings(parts)
-        x = self.stem(F.pixel_unshuffle(inputs, 2))
+        x = F.conv2d(inputs, _of_texels(self.stem.weight), self.stem.bias, stride=2, padding=2)
         levels, context = [], 0.0
         for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
             if index:
@@ -210,7 +210,7 @@ class Inverse(nn.Module):
             x = F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
             x = self.merge[index](torch.cat([levels[index], x], dim=1))
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
-            x = self.up[index](x * (1.0 + scale) + shift)
+            x = self.up[index](torch.addcmul(shift, x, 1.0 + scale))
             # Heights are proportional to the wavelength at equal slope.
             here = self.heights[index](x) * 2.0**index
             if height is not None:
@@ -220,7 +220,11 @@ class Inverse(nn.Module):
             height = here
         assert height is not None
         fine = F.pixel_shuffle(self.head(x), 2)
-        fine = F.leaky_relu(self.fine(torch.cat([fine, inputs], dim=1)), _SLOPE)
+        # Of both at once, without a copy of both side by side.
+        weight = self.fine.weight
+        above = F.conv2d(inputs, weight[:, -INPUTS:], padding=1)
+        fine = F.conv2d(fine, weight[:, :-INPUTS], self.fine.bias, padding=1).add_(above)
+        fine = F.leaky_relu(fine, _SLOPE, inplace=True)
         answer = NetworkAnswer.from_stacked(self.out(fine))
         coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
         # Albedo is predicted relative to the photograph's log radiance over the uniform material.
@@ -243,9 +247,15 @@ class _ResidualBlock(nn.Module):
             self.second.weight.mul_(0.3)
 
     def forward(self, x: Tensor) -> Tensor:
-        y = self.first(F.leaky_relu(self.before(x), _SLOPE))
-        y = self.second(F.leaky_relu(self.between(y), _SLOPE))
-        return self.shortcut(x) + y
+        y = self.first(F.leaky_relu(self.before(x), _SLOPE, inplace=True))
+        y = self.second(F.leaky_relu(self.between(y), _SLOPE, inplace=True))
+        return y.add_(self.shortcut(x))
+
+
+def _of_texels(weight: Tensor) -> Tensor:
+    """(O, C, 6, 6) weight on texels, of stride 2, of a weight (O, 4 C, 3, 3) on 2 x 2 of them."""
+    count = weight.shape[1] // 4
+    return weight.unflatten(1, (count, 2, 2)).permute(0, 1, 4, 2, 5, 3).reshape(-1, count, 6, 6)
 
 
 def _weightings(parts: NetworkInputs) -> Tensor:
