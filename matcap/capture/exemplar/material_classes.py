@@ -288,7 +288,7 @@ def _pair(metal: Tensor) -> Classes:
 def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
     """The target with the specular tint of metal set to the mean colour of its texels (1, H, W)."""
     seen = metal * target.measured.all(0, keepdim=True) * target.counts
-    return replace(target, tints=(whole_colour(target.linear, seen), 1.0), diffuse=None)
+    return replace(target, tints=(whole_colour(target.linear, seen), 1.0))
 
 
 def metal_score(residuals: SurfaceParameters, logit: Tensor) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -23,7 +22,6 @@ from matcap.capture.exemplar.mean_parameters import (
     _RingFit,
     fit_mean_parameters,
 )
-from matcap.flash.diffuse_share import DiffuseRings
 from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.light import FlashLight, Uniform, render_flash
 
@@ -266,36 +264,12 @@ def _paler(by: float) -> SurfaceParameters:
     return SurfaceParameters.from_vector(torch.tensor([by, by, by, 0.0, 0.0]))
 
 
-def with_share(target: RingTarget, uniform: Uniform, share: float) -> RingTarget:
-    """The target with a texture of which every ring has a diffuse share, relative to the last."""
-    number = torch.tensor([0, 2, 4, 6])
-    log_scatter = torch.linspace(math.log(share), 0.0, 4, dtype=torch.float64)
-    free = torch.linalg.cholesky(0.01 * torch.eye(4, dtype=torch.float64) + 16.0)
-    whitening = torch.linalg.inv(free)
-    rings = DiffuseRings(log_scatter, number, torch.zeros(2, 4, 1, dtype=torch.float64), whitening)
-    return replace(target, diffuse=rings)
-
-
 def test_the_linearisation_is_the_derivative_of_the_residuals() -> None:
-    target, uniform = glossy(0.4, 0.3)
-    fit = _RingFit(with_share(target, uniform, 0.5), ONE, PRIOR)
+    target, _ = glossy(0.4, 0.3)
+    fit = _RingFit(target, ONE, PRIOR)
     theta = torch.tensor([0.1, -0.1, 0.05, 0.02, 0.2])
     residual, columns = fit._linear(theta)
     assert torch.allclose(residual, fit.residuals(theta), atol=1e-4)
     for k, step in enumerate(0.01 * torch.eye(5)):
         slope = (fit.residuals(theta + step) - fit.residuals(theta - step)) / 0.02
         assert torch.allclose(-slope, columns[k], atol=0.03 * float(columns.abs().max()))
-
-
-def test_texture_without_a_veil_takes_a_lobe_for_light() -> None:
-    """The same profile of a highlight, whose texture keeps or loses its colour in the middle."""
-    target, uniform = glossy(0.5, 0.3)
-
-    def gloss(share: float) -> float:
-        levels, _ = fit_mean_parameters(
-            with_share(target, uniform, share), ONE, torch.zeros(1, 5), PRIOR
-        )
-        albedo, f0 = levels[0, :3].mean(), levels[0, 3]
-        return float(f0 - albedo)
-
-    assert gloss(1.0) < gloss(0.5)
