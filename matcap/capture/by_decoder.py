@@ -11,7 +11,7 @@ from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estim
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import FEATURES, WINDOW, Method, Rectified
 from matcap.capture.result import CaptureResult, Tuning, judge_material, provenance
-from matcap.capture.settings import CaptureClock, CaptureSettings, Effort
+from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, RunStatus
 from matcap.field.material import Material
 from matcap.files.process import postponed
 from matcap.space.decoder import DecoderConfig, with_drawing
@@ -111,14 +111,13 @@ def capture_by_decoder(
     about = provenance(rectified, settings, effort, [])
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
-        with clock.stage("matching"), postponed() as stopped:
+        with clock.completed("matching"):
             material = match_photograph(material, plane, settings.seed)
-        clock.interrupted |= bool(stopped())
-
     if estimate is None and settings.aligned:
         with postponed() as stopped:
             estimate = estimated(CaptureClock(None))
-        clock.interrupted |= bool(stopped())
+        if stopped():
+            clock.status = RunStatus.INTERRUPTED
     went = Tuning(tuned.history, window_distance, drawing is not None)
     if photo.turned:  # all above is in landscape format
         material = _upright(material)
@@ -173,7 +172,10 @@ def tuned_decoder(
             tune,
             lambda share, error, taken: clock.tuning(share, error / unit),
         )
-    clock.interrupted |= tuned.interrupted
+    if tuned.interrupted:
+        clock.status = RunStatus.INTERRUPTED
+    elif tuned.history and tuned.history[-1][1] < tune.steps:
+        clock.status = RunStatus.TIME_IS_UP
     network = tuned.decoder.eval().requires_grad_(False)
     made = TunedDecoder(
         network, start.code, tuned.moments, target.waves, texel_size, target.drawing

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, preview_name, write_mapset
-from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
+from matcap.capture.settings import CaptureSettings, OutputSettings, RunStatus, resolve
 from matcap.errors import MatcapError
 from matcap.example.example import summary
 from matcap.example.exemplar import CHANNELS
@@ -205,7 +205,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         "name": result.material.name,
-        "interrupted": result.interrupted,
+        "interrupted": result.status is RunStatus.INTERRUPTED,
         "verdict": result.verdict.document(),
         "highlight": profile and profile.document(),
         "error": result.errors,
@@ -308,7 +308,7 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
 
 def warnings(result: CaptureResult) -> Iterable[str]:
     """Sentences on what may reduce the quality of the result, each with a remedy."""
-    if result.interrupted:
+    if result.status is RunStatus.INTERRUPTED:
         yield "Interrupted: this is the best so far; run it again for a better result."
     # The verdict checks the flash by the light; a warning is due if the metadata deny it.
     keys = (

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from enum import Enum
 from itertools import accumulate, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from matcap.errors import UsageError
 from matcap.files import settings as values
 from matcap.files.names import Progress, ignore_progress
+from matcap.files.process import postponed
 from matcap.files.settings import CheckedSettings, setting, typed_settings
 
 if TYPE_CHECKING:
@@ -420,6 +422,16 @@ SHOWN_STAGES: Mapping[str, str] = {
 }
 
 
+class RunStatus(Enum):
+    """How a capture ended, or will end."""
+
+    DONE = "done"
+    TIME_IS_UP = "time is up"
+    """Of fine-tuning, whose steps the time limit cut short."""
+    INTERRUPTED = "interrupted"
+    """By Ctrl-C, with the best result so far."""
+
+
 @dataclass(frozen=True)
 class CaptureProgress(Progress):
     """Progress of a capture."""
@@ -427,8 +439,8 @@ class CaptureProgress(Progress):
     error: float | None = None
     """Texture distance in fine-tuning a decoder, over that between neighbouring windows of the
     photograph; None in other stages."""
-    interrupted: bool = False
-    """Whether Ctrl-C was pressed: the remaining stages complete the best result so far."""
+    status: RunStatus = RunStatus.DONE
+    """INTERRUPTED after Ctrl-C: the remaining stages complete the best result so far."""
 
 
 class CaptureClock:
@@ -436,7 +448,7 @@ class CaptureClock:
 
     Attributes:
         seconds: duration of each completed stage.
-        interrupted: whether Ctrl-C was pressed.
+        status: how the capture ended, or will end.
     """
 
     def __init__(
@@ -455,7 +467,7 @@ class CaptureClock:
             spent: seconds that the command has taken before.
         """
         self.seconds: dict[str, float] = {}
-        self.interrupted = False
+        self.status = RunStatus.DONE
         self._on_progress = on_progress or ignore_progress
         self._bounds, self._limit = _bounds(stages), limit
         self._spent = spent
@@ -474,11 +486,19 @@ class CaptureClock:
         try:
             yield
         except KeyboardInterrupt:
-            self.interrupted = True
+            self.status = RunStatus.INTERRUPTED
             raise
         finally:
             self.seconds[name] = time.monotonic() - began
         self._on_progress(self._now(name, 1.0))
+
+    @contextmanager
+    def completed(self, name: str) -> Iterator[None]:
+        """A stage that Ctrl-C does not break off; it ends the capture early afterwards."""
+        with self.stage(name), postponed() as stopped:
+            yield
+        if stopped():
+            self.status = RunStatus.INTERRUPTED
 
     def within(self, name: str, share: float) -> None:
         """Report that a share, in [0, 1], of a stage is complete."""
@@ -510,7 +530,7 @@ class CaptureClock:
         fraction = min(end, begin + share * (end - begin))
         elapsed = self.elapsed
         left = elapsed * (1.0 - fraction) / fraction if fraction > 0.15 else None
-        return CaptureProgress(name, fraction, elapsed, left, interrupted=self.interrupted)
+        return CaptureProgress(name, fraction, elapsed, left, status=self.status)
 
 
 def _bounds(stages: Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -68,8 +68,6 @@ class ExemplarEstimate:
     """Relief and albedo energies measured in the photograph, or None."""
     error: float
     """Median |log radiance of photograph - re-rendering| of valid texels."""
-    interrupted: bool = False
-    """Whether Ctrl-C ended the estimation from several photographs."""
     several: SetReport | None = None
     """Report on several photographs; None for one."""
     scale: float = 1.0

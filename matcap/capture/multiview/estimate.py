@@ -49,7 +49,7 @@ from matcap.capture.multiview.views import ResampledView
 from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
-from matcap.capture.settings import CaptureClock
+from matcap.capture.settings import CaptureClock, RunStatus
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
@@ -120,10 +120,9 @@ def estimate_multiview(
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
     result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0])
-    result = replace(
-        result, interrupted=interrupted, several=report, scale=scale, turned=first.turned
-    )
-    return rectified, result
+    if interrupted:
+        clock.status = RunStatus.INTERRUPTED
+    return rectified, replace(result, several=report, scale=scale, turned=first.turned)
 
 
 def registered(
