@@ -90,12 +90,6 @@ class ExemplarEstimate:
             margins, size = margins.turned(), size[::-1]
         return self.exemplar.cut(*margins.inside(size))
 
-    @property
-    def landscape_maps(self) -> MapSet:
-        """Maps of `first_rectangle` in landscape orientation, in which photographs are measured."""
-        maps = map_set_of(self.first_rectangle)
-        return maps.turned(1) if self.turned else maps
-
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
         """A portrait's estimate, its maps rotated upright; `waves` is their lattice."""
         exemplar, example = indexed(self.exemplar, waves, turned=True, kept=self.kept)

@@ -23,6 +23,7 @@ from matcap.brdf.cook_torrance import (
     Reflectance,
     SurfaceParameters,
 )
+from matcap.brdf.maps import normals_from_height
 from matcap.capture.exemplar.observation import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
@@ -171,7 +172,6 @@ def _most(plane: NDArray[np.float32], quantile: float) -> float:
 # relief but not on its registration, and weigh the few texels at the mirror point like the many
 # beyond. The radiance of a partly clipped ring is a lower bound; taken as equality it would bias
 # roughness.
-#
 
 
 _INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
@@ -236,7 +236,7 @@ class RingTarget:
             counts=observed.within,
             distance=observed.from_mirror_point,
             flash=observed.light.flash,
-            normal=observed.light.maps(residuals).normal,
+            normal=normals_from_height(residuals.height, 1.0),
             surface=observed.light.uniform + residuals,
             tints=tuple(observed.light.tint if each else 1.0 for each in metal),
             limit=observed.plane.encoding.limit,

@@ -99,7 +99,7 @@ _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
 # Mean parameters.
-FIT_TEXELS = 384  # short side of the grid of the fit
+FIT_TEXELS = 192  # short side of the grid of the fit
 # Standard deviation of the mean residual of rings, over that of the log scale of relief.
 _RESIDUAL_BY_SCALE = 0.05
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
