@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from matcap.brdf.cook_torrance import SurfaceParameters
+from matcap.brdf.cook_torrance import ALBEDO, SurfaceParameters
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors
@@ -140,11 +140,6 @@ class NetworkAnswer:
             SurfaceParameters.from_stacked(residuals), ExpectedErrors.from_stacked(errors), metal
         )
 
-    def stacked(self) -> Tensor:
-        """The inverse of from_stacked()."""
-        parts = [self.residuals.stacked(), self.errors.stacked(), self.metal]
-        return torch.cat(parts, dim=-3)
-
 
 class Inverse(nn.Module):
     """The network; see the module."""
@@ -201,36 +196,32 @@ class Inverse(nn.Module):
         for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
             if index:
                 x = F.avg_pool2d(x, 2)
+            weights = F.avg_pool2d(weights, 2)
             x = block(x)
             levels.append(x)
-            context = context + pooled(_means(x, F.avg_pool2d(weights, 2 ** (index + 1))))
+            context = context + pooled(_means(x, weights))
         context = self.context(context)
         height: Tensor | None = None
         for index in reversed(range(len(levels) - 1)):
-            x = F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
-            x = self.merge[index](torch.cat([levels[index], x], dim=1))
+            # A 1 x 1 convolution of the level and of what is enlarged; enlarged after it.
+            merge, width = self.merge[index], self.config.widths[index]
+            coarser = _doubled(F.conv2d(x, merge.weight[:, width:], merge.bias))
+            x = F.conv2d(levels[index], merge.weight[:, :width]).add_(coarser)
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
             x = self.up[index](torch.addcmul(shift, x, 1.0 + scale))
             # Heights are proportional to the wavelength at equal slope.
             here = self.heights[index](x) * 2.0**index
-            if height is not None:
-                here = here + F.interpolate(
-                    height, scale_factor=2.0, mode="bilinear", align_corners=False
-                )
-            height = here
+            height = here if height is None else here + _doubled(height)
         assert height is not None
-        fine = F.pixel_shuffle(self.head(x), 2)
-        # Of both at once, without a copy of both side by side.
-        weight = self.fine.weight
-        above = F.conv2d(inputs, weight[:, -INPUTS:], padding=1)
-        fine = F.conv2d(fine, weight[:, :-INPUTS], self.fine.bias, padding=1).add_(above)
-        fine = F.leaky_relu(fine, _SLOPE, inplace=True)
-        answer = NetworkAnswer.from_stacked(self.out(fine))
-        coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
+        # A convolution of features and inputs, without a copy of both side by side.
+        weight, features = self.fine.weight, F.pixel_shuffle(self.head(x), 2)
+        fine = F.conv2d(features, weight[:, :-INPUTS], self.fine.bias, padding=1)
+        fine = fine.add_(F.conv2d(inputs, weight[:, -INPUTS:], padding=1))
+        answer = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
         # Albedo is predicted relative to the photograph's log radiance over the uniform material.
-        first = answer.residuals
-        residuals = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
-        return replace(answer, residuals=residuals).stacked()
+        answer[:, ALBEDO] += parts.log
+        answer[:, OUTPUTS - 1 : OUTPUTS] += _doubled(height)
+        return answer
 
 
 class _ResidualBlock(nn.Module):
@@ -250,6 +241,11 @@ class _ResidualBlock(nn.Module):
         y = self.first(F.leaky_relu(self.before(x), _SLOPE, inplace=True))
         y = self.second(F.leaky_relu(self.between(y), _SLOPE, inplace=True))
         return y.add_(self.shortcut(x))
+
+
+def _doubled(planes: Tensor) -> Tensor:
+    """(B, C, 2 H, 2 W) bilinear enlargement."""
+    return F.interpolate(planes, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 
 def _of_texels(weight: Tensor) -> Tensor:
