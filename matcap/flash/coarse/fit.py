@@ -25,7 +25,7 @@ later stages lower.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ from matcap.flash.coarse.cells import BLACK, CoarseCells, Unknowns, cells_of, nu
 from matcap.flash.coarse.problem import (
     HUBER,
     TONE,
+    WEIGHT_BETWEEN,
     WHITE,
     HighlightMeasurements,
     Problem,
@@ -54,6 +55,7 @@ from matcap.photo.photo import Photo, ToneCurve
 # points, and of the fine one for the best.
 _GRIDS = ((24, 10), (32, 16))
 _FEW, _MANY = 6, 30  # most Levenberg-Marquardt iterations, of every start and of the best
+_KEPT = 2  # number of best starts that are fitted on the fine grid
 # Weight of one nat of the prior, in shares of the picture with residuals of HUBER, of developed
 # pictures, whose model errors (tone mapping) are smooth.
 _PRIOR_SHARE = 0.15
@@ -75,6 +77,7 @@ _WIDTHS = (1.0, 0.6)
 _MATTE = 2.5  # logit of roughness
 # GGX is half its peak where the half vector's tangent is this many alpha.
 _HALF_GGX = 0.644
+_DISTINCT = 0.3  # starts whose logits of roughness differ by less are duplicates
 # Root-mean-square log radiance by which a fit may be worse and count as equal.
 _EQUAL_RESIDUAL = 0.003
 
@@ -122,18 +125,17 @@ def fit_coarse(
     highlight = find_highlight(light_of(photo.pixels))
     coarse, fine = (cells_of(photo, highlight, *grid) for grid in _GRIDS)
     share = diffuse_share_of(photo, highlight)
-    dielectric, metal = (
-        _problem(photo, coarse, highlight, priors(photo, tilt, tilt_prior, conductor=each), each)
-        for each in (False, True)
-    )
-    coarse_cost, start = _coarsely_fitted(dielectric, highlight, tilt)
-    chosen, dielectric_cost, _ = _fitted(photo, replace(dielectric, cells=fine), share, start)
+    problems = [
+        _problem(photo, coarse, highlight, priors(photo, tilt, tilt_prior, conductor=metal), metal)
+        for metal in (False, True)
+    ]
+    dielectric, metal = (_minima(problem, highlight, tilt) for problem in problems)
+    chosen, dielectric_cost, _ = _fitted(photo, replace(problems[0], cells=fine), share, dielectric)
     crushed = float((photo.pixels.max(-1) < _CRUSHED).mean())
     undecided = known_metal is None and (photo.radiometric or crushed <= _MOST_CRUSHED)
-    metal_cost, start = _coarsely_fitted(metal, highlight, tilt)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
-    if known_metal or (undecided and metal_cost <= coarse_cost):
-        conductor, cost, nat = _fitted(photo, replace(metal, cells=fine), share, start)
+    if known_metal or (undecided and metal[0][0] <= dielectric[0][0]):
+        conductor, cost, nat = _fitted(photo, replace(problems[1], cells=fine), share, metal)
         red, _, blue = conductor.diffuse
         is_metal = (
             dielectric_cost - cost > _CONDUCTOR_ODDS * nat
@@ -188,30 +190,32 @@ def _problem(
     )
 
 
-def _coarsely_fitted(
+def _minima(
     problem: Problem, highlight: Highlight | None, tilt: tuple[float, float] | None
-) -> tuple[float, Tensor]:
-    """(cost, parameters) of the least of the minima from all starting points."""
+) -> list[tuple[float, Tensor]]:
+    """(cost, parameters) from every starting point, the least cost first."""
     initial = starts(problem, highlight, tilt_known=tilt is not None)
-    return min((problem.minimised(start, _FEW) for start in initial), key=lambda one: one[0])
+    minima = [problem.minimised(start, _FEW) for start in initial]
+    return sorted(minima, key=lambda candidate: candidate[0])
 
 
 def _fitted(
     photo: Photo,
     last: Problem,
     diffuse_share: DiffuseShare | None,
-    start: Tensor,
+    minima: Sequence[tuple[float, Tensor]],
 ) -> tuple[CoarseFit, float, float]:
     """The most probable fit on fine cells, its cost, and the cost of a nat of the prior.
 
-    `start` are the parameters on coarse cells.
+    `minima` are (cost, parameters) on coarse cells, the least cost first.
     """
+    initial = [parameters for _, parameters in minima]
     if photo.radiometric:
-        last = last.whitened(start).with_estimated_noise(start)
+        last = last.whitened(initial[0]).with_estimated_noise(initial[0])
     if diffuse_share is not None:
         # Of a flash whose colour is free, scatter could be fitted by that alone.
-        last = replace(last, diffuse_share=diffuse_share.under(Unknowns.of(start).flash.exp()))
-    best = _best(last, start)
+        last = replace(last, diffuse_share=diffuse_share.under(Unknowns.of(initial[0]).flash.exp()))
+    best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
     exponent = math.exp(float(Unknowns.of(best).tone))
     fit = CoarseFit(
@@ -224,15 +228,17 @@ def _fitted(
     return fit, last.cost(best), last.unit
 
 
-def _best(problem: Problem, start: Tensor) -> Tensor:
-    """The parameters of least cost from a start; matte ones where these explain as much."""
-    cost, best = problem.minimised(start, _MANY)
+def _best(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
+    """The best parameters from several starts, the best start first."""
+    distinct_starts = distinct(tried)[:_KEPT]
     if problem.cells.hidden:
-        # No highlight is invented in what is clipped.
-        matte = replace(Unknowns.of(start), roughness=numbers(_MATTE)).vector()
-        other, rough = problem.minimised(matte, _MANY)
-        best = rough if other <= cost + 0.5 * _EQUAL_RESIDUAL**2 else best
-    return best
+        unknowns = Unknowns.of(tried[0])
+        distinct_starts.append(replace(unknowns, roughness=numbers(_MATTE)).vector())
+    minima = [problem.minimised(each, _MANY)[1] for each in distinct_starts]
+    strict = problem
+    if problem.measurements is not None:
+        strict = replace(problem, measurements=replace(problem.measurements, weight=WEIGHT_BETWEEN))
+    return roughest([(strict.cost(each), each) for each in minima])
 
 
 def _uniform(
@@ -314,3 +320,27 @@ def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -
                 roughness=numbers(logit),
                 intensity=intensity + (1.5 if problem.conductor else 0.0),
             ).vector()
+
+
+def distinct(fits: Sequence[Tensor]) -> list[Tensor]:
+    """Parameters, the best first, without those of nearly the same roughness as better ones."""
+    kept: list[Tensor] = []
+    for candidate in fits:
+        roughness = _roughness(candidate)
+        if all(abs(roughness - _roughness(one)) > _DISTINCT for one in kept):
+            kept.append(candidate)
+    return kept
+
+
+def roughest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
+    """The roughest among fits (cost, parameters) of nearly equal cost, so that no highlight is
+    invented in clipped areas.
+    """
+    least = min(cost for cost, _ in fits)
+    equal = [candidate for cost, candidate in fits if cost <= least + 0.5 * _EQUAL_RESIDUAL**2]
+    return max(equal, key=_roughness)
+
+
+def _roughness(parameters: Tensor) -> float:
+    """Logit of roughness."""
+    return float(Unknowns.of(parameters).roughness)

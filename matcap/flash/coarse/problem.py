@@ -142,8 +142,9 @@ _STEP = 1e-5  # of finite differences in parameters, all of which are of order 1
 
 # Measurements of the highlight.
 # Weight of the seven measurements; in a RAW they only help convergence, a tone curve changes the
-# surroundings.
-WEIGHT = 0.005
+# surroundings. Where one of several minima is chosen it is greater: laminate, whose sharp highlight
+# covers few cells, would else be satin under a narrow flash.
+WEIGHT, WEIGHT_BETWEEN = 0.005, 0.05
 # Standard deviation of the highlight's centre from the mirror point: plane units, plus a share of
 # its half width; the same of the centre of its half-way ring.
 _CENTRE_DEVIATION, _MIDDLE_DEVIATION = (0.006, 0.1), (0.004, 0.03)
