@@ -269,7 +269,6 @@ def test_texture_that_differs_in_the_highlight_is_no_steep_relief() -> None:
     right = ReliefSpectrum(
         albedo=0.0 * slopes,
         slope=np.sqrt(slopes),
-        significance=1.0 + 0.0 * slopes,
         deviation=0.3 * slopes.sum(1),
     )
     steep = {
