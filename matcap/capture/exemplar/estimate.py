@@ -295,8 +295,8 @@ def classified(
         target = RingTarget.of(observed, prediction.residuals, (False,))
         target = replace(target, surface=observed.light.uniform)
         mixture = find_mixture(prediction.residuals, prediction.logit, target)
-        if mixture.likely(observed.light.uniform):
-            classes = mixture.classes
+        if mixture is not None:
+            classes = mixture
             observed = tinted(observed, classes.metal_share)
     gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
     constrained = classes.constrained(prediction.residuals, gloss)
