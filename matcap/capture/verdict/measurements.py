@@ -116,6 +116,8 @@ def measure_capture(
     limit = photo.headroom
     pictures = np.minimum(rectified, limit), np.minimum(rerendered, limit)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
+    tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
+    developed = not (photo.radiometric or photo.floating)
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
     inside = valid | (rectified > FULL * limit).any(axis=2)
@@ -128,30 +130,31 @@ def measure_capture(
         colour=colour,
         light=light,
         texture=texture_difference(plane, rendering),
-        contrast=texture_contrasts(*pictures, developed=not (photo.radiometric or photo.floating)),
+        contrast=texture_contrasts(pictures[0], tiles, developed=developed),
         order=_order(plane, rendering, waves) if waves else None,
         exemplar=exemplar,
         causes=measure_causes(smooth, pictures, highlights, exemplar),
         regions={
             name: upright_region(photo, region)
-            for name, region in _regions(pictures, highlights).items()
+            for name, region in _regions(rectified.shape, tiles, highlights).items()
         },
     )
 
 
 def _regions(
-    pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
+    shape: tuple[int, ...],
+    tiles: tuple[dict[str, Picture], dict[str, Picture]],
+    highlights: tuple[Highlight | None, Highlight | None],
 ) -> dict[str, Region]:
     """Squares around the highlight, and around the tile whose contrast differs most."""
-    before, after = (_tile_contrasts(picture)["coarse"] for picture in pictures)
+    before, after = (each["coarse"] for each in tiles)
     differs = np.abs(np.log((after + UNSEEN**2) / (before + UNSEEN**2)))
     rows, columns = differs.shape
     row, column = divmod(int(differs.argmax()), columns)
     regions = {"texture": (column / columns, row / rows, 1.0 / columns, 1.0 / rows)}
     seen = highlights[0] or highlights[1]
     if seen is not None:
-        height, width = pictures[0].shape[:2]
-        half, up = max(seen.width, _LEAST_MARK), height / width
+        half, up = max(seen.width, _LEAST_MARK), shape[0] / shape[1]
         x, y = seen.centre
         regions["highlight"] = (
             (1.0 + x - half) / 2.0,
@@ -184,9 +187,14 @@ def smooth_difference(
 
 
 def texture_contrasts(
-    seen: Picture, again: Picture, *, developed: bool = False
+    seen: Picture,
+    tiles: tuple[dict[str, Picture], dict[str, Picture]],
+    *,
+    developed: bool = False,
 ) -> dict[str, tuple[float, float]]:
     """Root-mean-square contrast of log luminance, and of colour, in two linear pictures (H, W, 3).
+
+    `seen` is the photograph, `tiles` are of it and of its re-rendering (tile_contrasts).
 
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
     relief) and the others. Medians over tiles, robust to the gradient of a highlight. Colour of a
@@ -196,14 +204,13 @@ def texture_contrasts(
     light = cell_means(channel_mean(seen), _TILES)
     bright = np.zeros(light.shape, bool)
     bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
-    before, after = (_tile_contrasts(picture) for picture in (seen, again))
+    before, after = tiles
     if developed:
         noise = _code_variance(cell_means(seen, _TILES), _log_luminance(seen)[1])
-        for tiles in (before, after):
-            tiles["coloured"] = tiles["coloured"] + noise
+        before, after = (each | {"coloured": each["coloured"] + noise} for each in tiles)
 
-    def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
-        return math.sqrt(float(np.median(tiles[region])))
+    def of(tile: Picture, region: NDArray[np.bool_]) -> float:
+        return math.sqrt(float(np.median(tile[region])))
 
     return {
         f"{band} texture {where}": (of(before[band], region), of(after[band], region))
@@ -212,7 +219,7 @@ def texture_contrasts(
     }
 
 
-def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
+def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     log, floor = _log_luminance(picture)
     bands = {"fine": _FINE, "coarse": _COARSE_BAND}

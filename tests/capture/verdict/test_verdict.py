@@ -20,6 +20,7 @@ from matcap.capture.verdict.measurements import (
     measure_capture,
     smooth_difference,
     texture_contrasts,
+    tile_contrasts,
 )
 from matcap.flash.highlight import Highlight
 from matcap.flash.light import render_rectified
@@ -587,8 +588,9 @@ def test_colour_within_a_code_is_noise_of_a_developed_photograph() -> None:
     grey = np.full((192, 256, 3), 0.2, np.float32)
     for codes, least, most in ((1.0, 0.6, 1.0), (8.0, 0.0, 0.3)):
         seen = grey + blotches * code_step(grey) * np.float32(codes)
-        contrasts = texture_contrasts(seen, grey, developed=True)
+        tiles = tile_contrasts(seen), tile_contrasts(grey)
+        contrasts = texture_contrasts(seen, tiles, developed=True)
         before, after = contrasts["coloured texture in the light"]
         assert least < after / before < most
-    before, after = texture_contrasts(seen, grey)["coloured texture in the light"]
+    before, after = texture_contrasts(seen, tiles)["coloured texture in the light"]
     assert after < 1e-3 < before
