@@ -256,9 +256,7 @@ def slopes(height):
 def _estimate(slope: np.ndarray, deviation: float = 0.02) -> ReliefSpectrum:
     """Slopes measured in a photograph, with deviations that are a share of their energies."""
     energy = np.square(slope).sum(1)
-    return ReliefSpectrum(
-        np.zeros_like(slope), slope.copy(), np.ones_like(slope), deviation * energy
-    )
+    return ReliefSpectrum(np.zeros_like(slope), slope.copy(), deviation * energy)
 
 
 def _strength(height: np.ndarray, where: tuple[slice, slice]) -> tuple[float, float]:
