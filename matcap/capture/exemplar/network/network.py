@@ -205,6 +205,7 @@ class Inverse(nn.Module):
         for index in reversed(range(len(levels) - 1)):
             # A 1 x 1 convolution of the level and of what is enlarged; enlarged after it.
             merge, width = self.merge[index], self.config.widths[index]
+            assert isinstance(merge, nn.Conv2d)
             coarser = _doubled(F.conv2d(x, merge.weight[:, width:], merge.bias))
             x = F.conv2d(levels[index], merge.weight[:, :width]).add_(coarser)
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
