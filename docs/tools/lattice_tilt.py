@@ -25,7 +25,7 @@ from matcap.capture.rectified import fit_photograph, tilt_document
 from matcap.capture.settings import DETAIL, CaptureSettings
 
 LEAST = 0.75
-SOURCES = ("branch", "picture", "used")
+SOURCES = ("branch", "used")
 _FREQUENCIES = np.exp(np.linspace(math.log(6.0), math.log(120.0), 3000))  # cycles a width
 _FARTHEST = 250  # steps of that scale: a ratio of 1.28
 

@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from matcap.capture.settings import CaptureSettings, OutputSettings, Statistics, prior_file
+from matcap.capture.settings import CaptureSettings, OutputSettings, prior_file
 from matcap.errors import MatcapError, UsageError
 from matcap.files.names import MAKER_VERSION, series, usable_name
 from matcap.files.process import quiet_decoders
@@ -356,9 +356,6 @@ def read_settings(file: Path) -> dict[str, Any]:
     for name, plain in plainly:
         if name in read and read[name] not in plain:
             read[name] = type(read[name])(file.parent / read[name])
-    statistics = read.get("statistics", Statistics())
-    if statistics.weights is not None:
-        read["statistics"] = replace(statistics, weights=file.parent / statistics.weights)
     return read
 
 

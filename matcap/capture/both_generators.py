@@ -19,7 +19,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.by_decoder import photograph_target, tuned_decoder
 from matcap.capture.rectified import Method, Rectified
 from matcap.capture.result import CaptureResult, GeneratorChoice, Tuning
-from matcap.capture.settings import CaptureClock, Effort
+from matcap.capture.settings import CaptureClock, Effort, RunStatus
 from matcap.example.example import Example
 from matcap.field.material import Material
 from matcap.field.source import Generator
@@ -66,12 +66,11 @@ def with_decoder(
             one, other = (maps.turned(1) if turned else maps for maps in (result.maps, decoded))
             choice = replace(choose(one, other, target, plane), decoded=decoded)
     except KeyboardInterrupt:
-        clock.interrupted = True
-        return replace(result, interrupted=True)
-    if clock.interrupted:
-        return replace(result, interrupted=True)
+        clock.status = RunStatus.INTERRUPTED
+    if clock.status is RunStatus.INTERRUPTED:
+        return replace(result, status=clock.status)
     material = both.preferring(choice.generator)
-    return replace(result, material=material, tuning=tuning, choice=choice)
+    return replace(result, status=clock.status, material=material, tuning=tuning, choice=choice)
 
 
 def _tuned(
@@ -86,7 +85,7 @@ def _tuned(
         plane = _at_resolution(rectified, drawing)
         lying = replace(rectified, coarse=coarse, whole=plane, waves=(), network_input=plane)
         most = effort.steps * effort.places
-        target = photograph_target(lying, settings, Method(), most)
+        target = photograph_target(lying, Method(), most)
         unit = self_difference(target.windows, target.weights)
         tune = TuneSettings(
             effort.steps,

@@ -29,12 +29,12 @@ from matcap.capture.settings import (
     CaptureProgress,
     CaptureSettings,
     OutputSettings,
+    RunStatus,
     check_photographs,
     resolve,
 )
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Latent, Material
-from matcap.files.process import postponed
 from matcap.flash.highlight import limit_sparkles
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
@@ -104,9 +104,9 @@ def capture_into(
     groups = find_brackets([Path(path) for path in paths], fov=settings.fov)
     clock = clock_of(settings, progress, len(groups), spent)
     result = _captured(groups, settings, clock)
-    with clock.stage("write"), postponed() as stopped:
+    with clock.completed("write"):
         write_outputs(result, folder, outputs)
-    return replace(result, interrupted=result.interrupted or bool(stopped()))
+    return replace(result, status=clock.status)
 
 
 def capture_file(
@@ -206,7 +206,7 @@ def capture_photo(
         latent=_latent(rectified, settings),
     )
     result = judge_material(rectified, material, settings, clock, estimate)
-    if not effort.steps or result.interrupted:
+    if not effort.steps or result.status is RunStatus.INTERRUPTED:
         return result
     from matcap.capture.both_generators import with_decoder
 

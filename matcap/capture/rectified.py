@@ -21,7 +21,6 @@ from matcap.capture.settings import DETAIL
 from matcap.field.source import one_thread
 from matcap.flash.alignment import tilt_measurement
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
-from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 from matcap.flash.rectify import Plane, read_plane
@@ -58,10 +57,7 @@ def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = 
         measured: whether to use the alignment branch.
         metal: whether the material is metal; None to decide by the photograph.
     """
-    prior = None
-    if measured:
-        seen = tilt_measurement(photo)
-        prior = TiltPrior((seen.x, seen.y), (seen.std_x, seen.std_y))
+    prior = tilt_measurement(photo) if measured else None
     fitted = fit_coarse(photo, tilt_prior=prior, known_metal=metal)
     return rescale_to_flash(fitted, photo.flash_intensity)
 
@@ -69,16 +65,14 @@ def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = 
 def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
     """Tilt about x and y by source, degrees; None without a measurement.
 
-    Keys: `used`; `branch`, the alignment branch's, with its standard deviation `branch_std`; and
-    `picture`, the coarse fit's without the branch.
+    Keys: `used`; and `branch`, the alignment branch's, with its standard deviation `branch_std`.
     """
-    if coarse.tilt_prior is None or coarse.picture_tilt is None:
+    if coarse.tilt_prior is None:
         return None
     return {
         "used": _degrees(coarse.setup.tilt),
         "branch": _degrees(coarse.tilt_prior.mean),
         "branch_std": _degrees(coarse.tilt_prior.std),
-        "picture": _degrees(coarse.picture_tilt),
     }
 
 
@@ -87,11 +81,9 @@ def tilt_line(document: Mapping[str, Any]) -> str:
     x, y = document["used"]
     bx, by = document["branch"]
     sx, sy = document["branch_std"]
-    px, py = document["picture"]
     return (
         f"Tilt about x and y: {x:.1f} and {y:.1f} degrees; the alignment branch says {bx:.1f} "
-        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f}), the picture alone {px:.1f} "
-        f"and {py:.1f}."
+        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f})."
     )
 
 

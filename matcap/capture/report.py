@@ -1,78 +1,8 @@
 """report.json and the other files of a capture: all of them or none, and what may be
 overwritten.
 
-report.json: input, settings, errors, verdict and versions of a capture.
-
-Keys:
-    format: "matcap report".
-    version: of this file, 2.
-    name: of the material.
-    interrupted: whether Ctrl-C ended the capture early.
-    verdict: `rating` (good, usable, doubtful or failed), `fit` (good or usable), `severity` (up to
-        1 is good, 2 usable, 3 doubtful), `sentence` (the largest difference, its cause and remedy),
-        `causes` detected in the photograph, each with its remedy, and all `checks`
-        (photo/checks.py): each `value` and `unit`, rating or "not judged", severity, `message`,
-        cause and remedy.
-    highlight: of the photograph and its re-rendering, in pairs, both clipped where the photograph
-        is; null if the mirror point is outside of the picture. `rings` around that point, with
-        outer `radii` (plane units) and one beyond: mean radiance over that of a uniform matte
-        surface, normalised to 1 in the last; the first is the highlight contrast. `contrast_ratio`,
-        re-rendered over photographed contrast (null if neither is glossy; of a clipped core also
-        that of the innermost unclipped ring, whichever is farther from 1); `clipped`, share of each
-        ring: above 5 % in the first the photographed contrast is a lower bound. `glints`, standard
-        deviation of log radiance by octave, finest first, and `glint_ratio`.
-    error: `exemplar`, median difference of log radiance between the photograph and the re-rendered
-        exemplar; `field`, texture distance between the photograph and the endless material over
-        that between parts of the photograph; null if not measured.
-    warnings: sentences on what may reduce the quality.
-    notes: sentences on the file and the settings.
-    photograph: name, sizes, RAW (`radiometric`) or not, flash, gain map, clipped share;
-        `headroom`, the radiance at which it clips in units of white, null if nothing does.
-    camera: `fov_degrees` and `fov_source`, distance, `tilt_degrees`, `tilt_sources` (degrees about
-        x and y: `used`; `branch`, of the alignment branch with standard deviation `branch_std`; and
-        `picture`, of the coarse fit without the branch; null of several photographs, where
-        registration gives the tilt), flash offset and intensity, vignetting coefficients of r^2 and
-        r^4 and its centre (image coordinates), the `tone_curve` that was undone (photo/photo.py) or
-        null.
-    texel_size: plane units.
-    settings: of the user.
-    effort: that follows from the settings: `preset`, `detail` and `steps` of fine-tuning a decoder
-        (0 without); of a decoder also `windows_per_step`, and whether it was `matched`.
-    seconds: of the whole capture.
-    stage_seconds: of each stage.
-    tuning: of a decoder, or null: `error` (the last texture distance), `self_difference` (that
-        between neighbouring windows of the photograph), `relative_error` (their ratio) and
-        `error_over_time` (seconds, step and error).
-    generators: of two, or null: `generator`, which makes the maps by default, and `distances`, of
-        the texture of each one's field to the photograph's (capture/both_generators.py).
-    latent: `code` of the photograph by the prior's encoder, and `prior`, the SHA-256 of its file.
-    exemplar: or null: `error` (median difference of log radiance between photograph and
-        re-rendering), `low_frequency_residual` (which is not the material's), `left_out` (share
-        that stands out, such as stains, which fields avoid), `variety` (0 to 1: small patches at
-        1), `patches` (their size, in words), `relief_spectrum` (root-mean-square slope and log
-        albedo by band of the photograph, capture/exemplar/relief_spectrum.py; or null), `sharpness`
-        (power of the finest octave, re-rendering over photograph), `level_deviation`
-        (standard deviation of the logarithm of a dielectric's albedo over its F0, to which one
-        photograph fixes its level; or null), `diffuse_share_residual` (of the share by ring against
-        the colour contrast of texture, in standard deviations, root mean square; or null),
-        `confidence` (mean, by map), `specular_channels` (3 if F0 has a colour),
-        `highlight_residue` (radial variation about the mirror point: of the logarithms of
-        `albedo`, `specular` and `grain`, the amplitude of relief, and of `roughness`).
-    multi_view: of several photographs of one sample, or null: `photographs` (name, `flash`, false
-        if lit by ambient light, `matches` with the first, their `correlation`, `position` of the
-        camera in plane units, tilt, `position_deviation` over the distance, `residual` of the
-        re-rendering, and `leave_one_out_residual`, with maps from all other photographs, or null),
-        `left_out` (name and reason), `materials` that texels share (`f0` by channel, `roughness`,
-        `conductor`, mean `share`; absent of one), `first_alone` (whether the maps are the first
-        photograph's, as they predict each other hardly better than it does),
-        `measured_share` (by map: share measured by photographs rather
-        than predicted by the network), flash offset and lens distortion;
-        with --union `mosaic`: `margins` (texels around the first photograph's rectangle),
-        `area_ratio` (its texels over that rectangle's), `covered_share` (share of what photographs
-        show that is in it), `seen_share` (share of it that any photograph shows) and `limited`
-        (reduced to fit memory).
-    provenance: how the material was made.
-    versions: of matcap, Python, the system and the libraries.
+report.json: input, settings, errors, verdict and versions of a capture. Its keys are
+described in report.schema.json.
 """
 
 from __future__ import annotations
@@ -88,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, mapset_files, preview_name, write_mapset
-from matcap.capture.settings import CaptureSettings, OutputSettings, resolve
+from matcap.capture.settings import CaptureSettings, OutputSettings, RunStatus, resolve
 from matcap.errors import MatcapError
 from matcap.example.example import summary
 from matcap.example.exemplar import CHANNELS
@@ -213,28 +143,16 @@ def _confidence_file(name: str) -> str:
 
 # Reading report.json; report.schema.json is its JSON Schema.
 #
-# Format 1 had other names for some entries; what it says is read as format 2.
+# Format 1 had other names for some entries.
 
 
 FORMAT, VERSION = "matcap report", 2
-# Entries that format 1 had under another name: where, old and new. "*" is every member.
+# Entries that matcap reads and that format 1 had under another name: where ("*" is every member),
+# old and new.
 _RENAMED = (
     ("", "several", "multi_view"),
-    ("error", "piece", "exemplar"),
-    ("effort", "places", "windows_per_step"),
     ("verdict.causes.*", "says", "message"),
     ("verdict.checks.*", "says", "message"),
-    ("verdict.checks", "piece", "exemplar"),
-    ("exemplar", "slow", "low_frequency_residual"),
-    ("exemplar", "strengths", "relief_spectrum"),
-    ("exemplar.relief_spectrum.bands.*", "waves", "wavelengths"),
-    ("multi_view.photographs.*", "likeness", "correlation"),
-    ("multi_view.photographs.*", "place", "position"),
-    ("multi_view.photographs.*", "doubt", "position_deviation"),
-    ("multi_view.photographs.*", "predicted", "leave_one_out_residual"),
-    ("multi_view.left_out.*", "why", "reason"),
-    ("multi_view", "union", "mosaic"),
-    ("multi_view.mosaic", "times", "area_ratio"),
 )
 
 
@@ -287,7 +205,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "format": FORMAT,
         "version": VERSION,
         "name": result.material.name,
-        "interrupted": result.interrupted,
+        "interrupted": result.status is RunStatus.INTERRUPTED,
         "verdict": result.verdict.document(),
         "highlight": profile and profile.document(),
         "error": result.errors,
@@ -377,14 +295,11 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
     spectrum = estimate.relief_spectrum
     return {
         "error": estimate.error,
-        "low_frequency_residual": estimate.slow,
         "left_out": estimate.example.index.left_out,
         "variety": estimate.example.variety,
         "patches": summary(estimate.example).patches_text(),
         "relief_spectrum": spectrum and spectrum.document(),
-        "sharpness": estimate.sharpness,
         "level_deviation": estimate.level_deviation,
-        "diffuse_share_residual": estimate.diffuse_share_residual,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
         "highlight_residue": result.measurements.exemplar.residue,
@@ -393,7 +308,7 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
 
 def warnings(result: CaptureResult) -> Iterable[str]:
     """Sentences on what may reduce the quality of the result, each with a remedy."""
-    if result.interrupted:
+    if result.status is RunStatus.INTERRUPTED:
         yield "Interrupted: this is the best so far; run it again for a better result."
     # The verdict checks the flash by the light; a warning is due if the metadata deny it.
     keys = (

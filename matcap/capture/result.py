@@ -16,13 +16,12 @@ from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.inspection import checked
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.rectified import Rectified, tilt_document
-from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, resolve
+from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, RunStatus, resolve
 from matcap.capture.verdict.causes import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
 from matcap.capture.verdict.measurements import Measurements, measure_capture
 from matcap.field.material import Material
 from matcap.field.source import Generator
-from matcap.files.process import postponed
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
 from matcap.photo.photo import Photo, quarter_turn, standing
@@ -95,8 +94,8 @@ class CaptureResult:
     """Duration by stage."""
     settings: CaptureSettings
     """Settings of the user."""
-    interrupted: bool
-    """Whether Ctrl-C ended it early, with the best result so far."""
+    status: RunStatus
+    """How it ended."""
     estimate: ExemplarEstimate | None = None
     """The exemplar; None with a decoder without drawing or `aligned`."""
     tuning: Tuning | None = None
@@ -161,8 +160,7 @@ def judge_material(
         tuning: the course of fine-tuning, if a decoder was.
     """
     photo, plane, turned = rectified.photo, rectified.whole, material.setup.turned
-    interrupted = clock.interrupted or (estimate is not None and estimate.interrupted)
-    with clock.stage("verdict"), postponed() as stopped:
+    with clock.completed("verdict"):
         maps = material.maps(*(plane.size[::-1] if turned else plane.size), seed=settings.seed)
         with torch.inference_mode():
             rerendered = picture_of(render_rectified(maps, material.setup))
@@ -171,12 +169,10 @@ def judge_material(
         whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
         compared = np.where(kept, whole, landscape)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
-        drawn = None if tuning is None else maps
         about = None
         if estimate is not None:
-            about = ExemplarMeasurements.of(
-                estimate, rectified, material.setup, drawn, settings.seed
-            )
+            seed = settings.seed if tuning is None else None
+            about = ExemplarMeasurements.of(estimate, rectified, material.setup, seed)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         inspected = checked(photo, rectified.coarse, plane)
@@ -196,7 +192,7 @@ def judge_material(
         verdict=verdict,
         stage_seconds=clock.seconds,
         settings=settings,
-        interrupted=interrupted or bool(stopped()),
+        status=clock.status,
         estimate=estimate,
         tuning=tuning,
     )

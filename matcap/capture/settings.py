@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from enum import Enum
 from itertools import accumulate, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from matcap.errors import UsageError
 from matcap.files import settings as values
 from matcap.files.names import Progress, ignore_progress
+from matcap.files.process import postponed
 from matcap.files.settings import CheckedSettings, setting, typed_settings
 
 if TYPE_CHECKING:
@@ -34,35 +36,12 @@ QUICK_DETAIL = 512
 DETAIL = 1024
 FINE_DETAIL = 2048
 DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL)
-# Texture statistics by name (constructors in by_decoder.py), and whether each needs a file of
-# weights.
-STATISTICS: Mapping[str, bool] = MappingProxyType({"filterbank": False, "vgg19": True})
-STATISTICS_WORDS = "|".join(f"{name}=FILE" if file else name for name, file in STATISTICS.items())
-# Settings that only the decoder uses: option, message and alternative for the other generator.
-_OF_DECODER: Mapping[str, tuple[str, str, str]] = MappingProxyType(
-    {
-        "steps": (
-            "--steps",
-            "only a decoder is fine-tuned in steps",
-            "--preset or --detail in its place",
-        ),
-        "prior": ("--prior", "only a decoder starts from a prior", "leave it out"),
-        "statistics": (
-            "--statistics",
-            "only fine-tuning of a decoder compares texture statistics",
-            "leave it out",
-        ),
-        "drawing": (
-            "--no-drawing",
-            "only a decoder has a drawing among its inputs",
-            "leave it out",
-        ),
-    }
-)
+# Settings that only the decoder uses, and their options.
+_OF_DECODER = {"steps": "--steps", "prior": "--prior", "drawing": "--no-drawing"}
 # Settings that take the place of what the photograph says, of one photograph by example.
 _BY_HAND = ("metal", "albedo", "roughness")
 _STEP = 16  # texels: smallest alignment of a material
-_DECODER_TIMESS = 50_000_000  # bytes: upper bound of material, preview and report
+_OTHER_FILES = 50_000_000  # bytes: upper bound of material, preview and report
 
 
 @dataclass(frozen=True)
@@ -99,37 +78,6 @@ PRESETS: Mapping[str, Effort] = MappingProxyType(
 UNLIMITED = Effort("standard", 800)
 # (least time limit in seconds, detail): a capture with more texels would exceed a shorter limit.
 TIME_FOR_DETAIL = ((75.0, FINE_DETAIL), (26.0, DETAIL), (0.0, QUICK_DETAIL))
-
-
-@dataclass(frozen=True)
-class Statistics:
-    """Choice of texture statistics."""
-
-    name: str = "filterbank"
-    """Key of STATISTICS."""
-    weights: Path | None = None
-    """torchvision's file of weights for VGG-19; None for the filter bank."""
-
-    def __str__(self) -> str:
-        return self.name if self.weights is None else f"{self.name}={self.weights}"
-
-    @staticmethod
-    def parse(text: str | Statistics) -> Statistics:
-        """Parse "filterbank" or "vgg19=FILE".
-
-        Raises:
-            UsageError: the name is unknown, or a file is missing or not allowed.
-        """
-        if isinstance(text, Statistics):
-            return text
-        name, given, path = text.partition("=")
-        wanted = STATISTICS.get(name)
-        if wanted is None or bool(wanted) != bool(given and path) or bool(given) != bool(path):
-            raise UsageError(
-                f"there are no statistics {text!r}",
-                remedy=f"choose {STATISTICS_WORDS.replace('|', ' or ')}",
-            )
-        return Statistics(name, Path(path) if path else None)
 
 
 @dataclass(frozen=True)
@@ -195,10 +143,6 @@ class CaptureSettings(CheckedSettings):
     prior: str = setting("auto", metavar="auto|none|PATH", group="Decoder")
     """With the decoder: trained prior to start from; auto is the one that comes with matcap, none a
     random initialisation."""
-    statistics: Statistics = setting(
-        Statistics(), metavar=STATISTICS_WORDS, parse=Statistics.parse, group="Decoder"
-    )
-    """With the decoder: features whose statistics measure the texture distance."""
     generator: Generator | None = setting(
         None,
         words=("decoder", "example"),
@@ -233,7 +177,7 @@ class CaptureSettings(CheckedSettings):
 
     def named(self) -> dict[str, Any]:
         """All settings by name as JSON values."""
-        document = asdict(self) | {"statistics": str(self.statistics), "union": self.union or None}
+        document = asdict(self) | {"union": self.union or None}
         # Omitted if unset, as in files written before these settings existed.
         for name in ("white", "generator", *_BY_HAND):
             if document[name] is None:
@@ -335,7 +279,7 @@ class OutputSettings(CheckedSettings):
         """Upper bound of the outputs' size on disk, bytes."""
         from matcap.brdf.folder import mapset_bytes
 
-        room = mapset_bytes(*self.size, png=self.png) + _DECODER_TIMESS
+        room = mapset_bytes(*self.size, png=self.png) + _OTHER_FILES
         if self.targets or self.maps:
             from matcap.export.targets import export_bytes
 
@@ -397,12 +341,12 @@ def resolve(settings: CaptureSettings) -> Effort:
         )
     if settings.generator != "decoder":
         default = CaptureSettings()
-        for name, (option, what, otherwise) in _OF_DECODER.items():
+        for name, option in _OF_DECODER.items():
             if getattr(settings, name) != getattr(default, name):
                 raise UsageError.at(
                     option,
-                    what,
-                    f'give --generator decoder (generator = "decoder") with it, or {otherwise}',
+                    "only a decoder uses this",
+                    'give --generator decoder (generator = "decoder") with it, or leave it out',
                 )
     if settings.union and settings.generator == "decoder":
         raise UsageError.at(
@@ -427,73 +371,37 @@ def resolve(settings: CaptureSettings) -> Effort:
 
 # Progress of a capture: its stages, each with its share of the time.
 
-
-# Stages of a capture in order, each with its share of the time, by report.json's stage_seconds of
-# one photograph of 12 megapixels with the preset `standard`.
-EXEMPLAR_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.02,
-        "coarse fit": 0.18,
-        "network": 0.06,
-        "relief spectrum": 0.03,
-        "refine": 0.07,
-        "inpaint": 0.10,
-        "index": 0.13,
-        "verdict": 0.24,
-        "write": 0.17,
-    }
-)
-_DECODER_TIMES = {
-    "statistics": 0.02, "start": 0.01, "fine-tuning": 0.22, "matching": 0.06, "choice": 0.04,
+# Processor seconds of stages, by report.json's stage_seconds of one photograph of 12 megapixels
+# with the preset `standard`; of five photographs; and of a decoder that is fine-tuned alone.
+_SECONDS = {
+    "read": 0.3, "coarse fit": 2.0, "network": 0.7, "relief spectrum": 0.35, "refine": 0.8,
+    "inpaint": 1.1, "index": 1.4, "verdict": 2.6, "write": 1.9,
+    "statistics": 0.3, "start": 0.15, "fine-tuning": 3.6, "matching": 0.9, "choice": 0.6,
 }  # fmt: skip
-_ALONE = 1.0 - sum(_DECODER_TIMES.values())
-_TIMES = {name: _ALONE * share for name, share in EXEMPLAR_STAGES.items()}
-# The same with a decoder beside the exemplar.
-BOTH_STAGES: Mapping[str, float] = MappingProxyType(
-    {**{name: share for name, share in _TIMES.items() if name != "write"}, **_DECODER_TIMES,
-     "write": _TIMES["write"]}
-)  # fmt: skip
-# The same of five photographs of one sample.
-MULTIVIEW_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.04,
-        "register": 0.12,
-        "coarse fit": 0.02,
-        "network": 0.11,
-        "relief spectrum": 0.04,
-        "refine": 0.05,
-        "align": 0.10,
-        "solve": 0.30,
-        "predict": 0.08,
-        "inpaint": 0.01,
-        "index": 0.05,
-        "verdict": 0.04,
-        "write": 0.04,
-    }
-)
-# The same of a decoder that reads a drawing, and of one that does not.
-DRAWING_STAGES: Mapping[str, float] = MappingProxyType(
-    {
-        "read": 0.01,
-        "coarse fit": 0.02,
-        "network": 0.09,
-        "relief spectrum": 0.045,
-        "refine": 0.04,
-        "inpaint": 0.03,
-        "index": 0.03,
-        "statistics": 0.035,
-        "start": 0.005,
-        "fine-tuning": 0.62,
-        "matching": 0.025,
-        "verdict": 0.035,
-        "write": 0.015,
-    }
-)
+_OF_FIVE = {"register": 3.0, "network": 2.8, "align": 2.5, "solve": 7.5, "predict": 2.0}
 _EXEMPLAR = ("network", "relief spectrum", "refine", "inpaint", "index")
-_OTHERS = 1.0 - sum(DRAWING_STAGES[name] for name in _EXEMPLAR)
-DECODER_STAGES: Mapping[str, float] = MappingProxyType(
-    {name: share / _OTHERS for name, share in DRAWING_STAGES.items() if name not in _EXEMPLAR}
+_DECODER = ("statistics", "start", "fine-tuning", "matching")
+
+
+def _shares(names: Sequence[str], others: Mapping[str, float] | None = None) -> Mapping[str, float]:
+    """Share of each stage in the time of all, in order; `others` have other seconds."""
+    seconds = _SECONDS | dict(others or {})
+    whole = sum(seconds[name] for name in names)
+    return MappingProxyType({name: seconds[name] / whole for name in names})
+
+
+EXEMPLAR_STAGES = _shares(("read", "coarse fit", *_EXEMPLAR, "verdict", "write"))
+# With a decoder beside the exemplar.
+BOTH_STAGES = _shares(("read", "coarse fit", *_EXEMPLAR, "verdict", *_DECODER, "choice", "write"))
+# Of several photographs of one sample.
+_FITTED = ("coarse fit", "network", "relief spectrum", "refine", "align", "solve", "predict")
+MULTIVIEW_STAGES = _shares(
+    ("read", "register", *_FITTED, "inpaint", "index", "verdict", "write"), _OF_FIVE
 )
+# Of a decoder that reads a drawing, and of one that does not.
+_ALONE = {"fine-tuning": 30.0}
+DRAWING_STAGES = _shares(("read", "coarse fit", *_EXEMPLAR, *_DECODER, "verdict", "write"), _ALONE)
+DECODER_STAGES = _shares(("read", "coarse fit", *_DECODER, "verdict", "write"), _ALONE)
 
 # What is shown of a stage; several stages that a person need not tell apart have one name.
 _ESTIMATING = "estimating maps"
@@ -514,6 +422,16 @@ SHOWN_STAGES: Mapping[str, str] = {
 }
 
 
+class RunStatus(Enum):
+    """How a capture ended, or will end."""
+
+    DONE = "done"
+    TIME_IS_UP = "time is up"
+    """Of fine-tuning, whose steps the time limit cut short."""
+    INTERRUPTED = "interrupted"
+    """By Ctrl-C, with the best result so far."""
+
+
 @dataclass(frozen=True)
 class CaptureProgress(Progress):
     """Progress of a capture."""
@@ -521,8 +439,8 @@ class CaptureProgress(Progress):
     error: float | None = None
     """Texture distance in fine-tuning a decoder, over that between neighbouring windows of the
     photograph; None in other stages."""
-    interrupted: bool = False
-    """Whether Ctrl-C was pressed: the remaining stages complete the best result so far."""
+    status: RunStatus = RunStatus.DONE
+    """INTERRUPTED after Ctrl-C: the remaining stages complete the best result so far."""
 
 
 class CaptureClock:
@@ -530,7 +448,7 @@ class CaptureClock:
 
     Attributes:
         seconds: duration of each completed stage.
-        interrupted: whether Ctrl-C was pressed.
+        status: how the capture ended, or will end.
     """
 
     def __init__(
@@ -549,7 +467,7 @@ class CaptureClock:
             spent: seconds that the command has taken before.
         """
         self.seconds: dict[str, float] = {}
-        self.interrupted = False
+        self.status = RunStatus.DONE
         self._on_progress = on_progress or ignore_progress
         self._bounds, self._limit = _bounds(stages), limit
         self._spent = spent
@@ -568,11 +486,19 @@ class CaptureClock:
         try:
             yield
         except KeyboardInterrupt:
-            self.interrupted = True
+            self.status = RunStatus.INTERRUPTED
             raise
         finally:
             self.seconds[name] = time.monotonic() - began
         self._on_progress(self._now(name, 1.0))
+
+    @contextmanager
+    def completed(self, name: str) -> Iterator[None]:
+        """A stage that Ctrl-C does not break off; it ends the capture early afterwards."""
+        with self.stage(name), postponed() as stopped:
+            yield
+        if stopped():
+            self.status = RunStatus.INTERRUPTED
 
     def within(self, name: str, share: float) -> None:
         """Report that a share, in [0, 1], of a stage is complete."""
@@ -604,7 +530,7 @@ class CaptureClock:
         fraction = min(end, begin + share * (end - begin))
         elapsed = self.elapsed
         left = elapsed * (1.0 - fraction) / fraction if fraction > 0.15 else None
-        return CaptureProgress(name, fraction, elapsed, left, interrupted=self.interrupted)
+        return CaptureProgress(name, fraction, elapsed, left, status=self.status)
 
 
 def _bounds(stages: Mapping[str, float]) -> dict[str, tuple[float, float]]:

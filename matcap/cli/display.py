@@ -19,7 +19,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from matcap.capture.settings import SHOWN_STAGES
+from matcap.capture.settings import SHOWN_STAGES, RunStatus
 from matcap.files.settings import spoken_duration
 from matcap.photo.checks import Rating
 
@@ -100,11 +100,11 @@ class CaptureDisplay(_Shown):
     columns = (*_NAMED, _STAGE, TextColumn("{task.fields[error]}", style="cyan"), _LEFT)
     indent = "  "
     _task: TaskID | None = None
-    _stage, _interrupted = "", False
+    _stage, _status = "", RunStatus.DONE
 
     def started(self, photo: Path) -> None:
         """Begin the display of a photograph."""
-        self._stage, self._interrupted = "", False
+        self._stage, self._status = "", RunStatus.DONE
         if self._bars is not None:
             self._task = self._bars.add_task(
                 photo.name, total=1.0, stage="reading", error="", left=""
@@ -125,10 +125,11 @@ class CaptureDisplay(_Shown):
         elif not self._quiet and stage != self._stage and now.stage != "read":
             # Without reading, so that an unreadable file prints only its error.
             self._say(f"  {now.seconds:6.1f} s  {stage}  {error}".rstrip())
-        if now.interrupted and not self._interrupted and not self._quiet:
+        interrupted = now.status is RunStatus.INTERRUPTED
+        if interrupted and now.status is not self._status and not self._quiet:
             soon = left and f", in about {left}"
             self._say(f"  interrupted: saving the best so far{soon}")
-        self._stage, self._interrupted = stage, now.interrupted
+        self._stage, self._status = stage, now.status
 
     def finished(self, photo: Path, done: dict[str, Any]) -> None:
         """Print the folder, the verdict and notes of a completed capture."""

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors, write_tensors
+from matcap.flash.coarse.problem import TiltPrior
 from matcap.photo.photo import Photo
 
 # Tilt from perspective: how the local spectra of a texture change across the picture.
@@ -199,17 +200,6 @@ _GROUP = 16  # channels normalised together
 _LOG_STD = (math.log(0.002), math.log(0.3))  # limits of the standard deviation, log radians
 
 
-class TiltMeasurement(NamedTuple):
-    """Measured tilt: two independent Gaussians, in radians."""
-
-    x: float
-    y: float
-    """Means of tilt_x and tilt_y."""
-    std_x: float
-    std_y: float
-    """Their standard deviations."""
-
-
 class TiltEvidence(NamedTuple):
     """What a photograph says of its tilt: the branch's inputs."""
 
@@ -385,7 +375,7 @@ def evidence(photo: Photo) -> TiltEvidence:
     return TiltEvidence(picture(pixels, WIDTH), stated[0].float(), slopes)
 
 
-def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasurement:
+def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltPrior:
     """Measure a photograph's tilt with its standard deviation, in radians.
 
     Args:
@@ -398,7 +388,7 @@ def tilt_measurement(photo: Photo, branch: Alignment | None = None) -> TiltMeasu
     with torch.inference_mode():
         mean, log_std = (branch or _shipped())(evidence(photo))
     (x, y), (std_x, std_y) = mean[0].tolist(), log_std[0].exp().tolist()
-    return TiltMeasurement(x, y, std_x, std_y)
+    return TiltPrior((x, y), (std_x, std_y))
 
 
 @lru_cache(maxsize=1)

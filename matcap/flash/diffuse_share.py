@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -63,8 +64,6 @@ class DiffuseRings:
 
     log_scatter: Tensor
     """(n,) of channel differences."""
-    number: Tensor
-    """(n,) index of each ring in RADII."""
     image: Tensor
     """(2, n, points) image coordinates of measured texels of each ring."""
     whitening: Tensor
@@ -87,8 +86,6 @@ class DiffuseShare:
     """(n,) standard deviation of the log scatter of a ring."""
     shoulder: Tensor
     """(n,) error of the log scatter if the tone curve's shoulder errs by its deviation."""
-    number: Tensor
-    """(n,) index of each ring in RADII."""
     image: Tensor
     """(2, n, points) image coordinates of measured texels of each ring."""
 
@@ -109,7 +106,7 @@ class DiffuseShare:
         each = self.deviation.square().diag()
         common = self.shoulder[:, None] * self.shoulder + _FREE**2
         whitening = torch.linalg.inv(torch.linalg.cholesky(each + common))
-        return DiffuseRings(self.log_scatter(colour), self.number, self.image, whitening)
+        return DiffuseRings(self.log_scatter(colour), self.image, whitening)
 
 
 def undeveloped(picture: Floats, exponent: float) -> tuple[Floats, Floats]:
@@ -159,7 +156,7 @@ def measure_diffuse_share(
     radius = np.hypot(u - centre[0], v - centre[1])
     turn = np.arctan2(v - centre[1], u - centre[0]) / (2.0 * np.pi) % 1.0
     rings = []
-    for number, (inner, outer) in enumerate(zip(RADII[:-1], RADII[1:], strict=True)):
+    for inner, outer in pairwise(RADII):
         within = (radius >= inner) & (radius < outer)
         here = within & usable
         count = int(here.sum())
@@ -182,19 +179,16 @@ def measure_diffuse_share(
                 variance[here].mean(0),
                 deviation,
                 _SHOULDER_DEVIATION * bent,
-                number,
                 np.stack([u[columns], v[rows, 0]]),
             )
         )
     if len(rings) < 2:
         return None
     # No lobe adds scatter: what exceeds that of all rings farther out is of coloured glints.
-    moments, floors, deviations, shoulder, numbers, image = (
+    moments, floors, deviations, shoulder, image = (
         torch.from_numpy(np.array(part, np.float64)) for part in zip(*rings, strict=True)
     )
-    measured = DiffuseShare(
-        moments, floors, deviations, shoulder, numbers.long(), image.movedim(0, 1)
-    )
+    measured = DiffuseShare(moments, floors, deviations, shoulder, image.movedim(0, 1))
     log_scatter = measured.log_scatter(torch.ones_like(floors[0]))
     farther = log_scatter.flip(0).cummax(0).values.flip(0)[1:]
     excess = (log_scatter[:-1] - farther).clamp_min(0.0)

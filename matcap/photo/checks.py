@@ -337,11 +337,11 @@ _TABLE = (
         seen="texture too soft or too coarse", factor=True,
     ),
     QualityCheck(
-        "pattern", "loss of autocorrelation at one period, or 1 - 1 / cube root of the change of "
-        "mean cluster size of dark texels over bright ones", "share", (0.3, 0.5, 0.75), "{what}",
+        "pattern", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
+        "the pattern is {kept:.0%} as regular as in the photograph",
         "cells or lines are broken, which small patches cut and decoders cannot draw",
         "capture with --generator example, or synthesise with a lower --variety", "pattern broken",
-        unknown="the picture is too small to compare patterns",
+        unknown="the photograph shows no lattice",
     ),
     QualityCheck(
         "repeat", "times that each part is shown in a field as large as the photograph", "times",
@@ -358,13 +358,6 @@ _TABLE = (
         (1.0, 2.0, 4.0), "the flash's highlight has left a spot in the maps: {amount}",
         "part of the highlight was taken for colour or gloss of the material",
         seen="blotch where the flash was",
-    ),
-    QualityCheck(
-        "steepness", "slopes of waves of 8 to 64 texels, a decoder's field over the exemplar",
-        "times", (1.3, 2.0, 3.0),
-        "slow relief is {value:.2g} times as steep as in the maps of the photographed rectangle",
-        "the decoder takes stains for relief, or relief for stains",
-        "capture with --generator example", "relief too flat or too steep", factor=True,
     ),
 )  # fmt: skip
 CHECKS: Mapping[str, QualityCheck] = {check.key: check for check in _TABLE}
@@ -406,13 +399,7 @@ _CAUSES = (
     Cause(
         "room light", "uniform radiance over that of dark parts", 0.0, 0.25,
         "{share:.0%} of the light in the dark parts is room light, not the flash's", _DARK,
-        # A highlight of the wrong contrast looks like a tone curve or ambient light.
-        _OF_LIGHT - {"highlight_contrast"},
-    ),
-    Cause(
-        "tone curve", "difference of log radiance that is a function of brightness", 0.0, 0.12,
-        "the camera applied a tone curve, so that pixel values are not proportional to light",
-        "take RAW (DNG)",
+        # A highlight of the wrong contrast looks like ambient light.
         _OF_LIGHT - {"highlight_contrast"},
     ),
     Cause(

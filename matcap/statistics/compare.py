@@ -358,7 +358,7 @@ UNSEEN = 1e-3
 
 
 class Features(Protocol):
-    """Feature extractor: a FilterBank or a trained network (VGG-19)."""
+    """Feature extractor: a FilterBank, or a trained network."""
 
     @property
     def levels(self) -> int:

@@ -14,7 +14,7 @@ from matcap.batch.samples import (
     settings_of,
     taken_at,
 )
-from matcap.capture.settings import CaptureSettings, Statistics
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError, UsageError
 
 # matcap.toml and flags; what a material is made from.
@@ -54,13 +54,6 @@ def test_a_prior_is_relative_to_the_file(tmp_path):
     assert settings_of(tmp_path, {}).capture.prior == "none"
 
 
-def test_weights_are_relative_to_the_file(tmp_path):
-    (tmp_path / "matcap.toml").write_text('statistics = "vgg19=mine.pth"\n')
-    assert settings_of(tmp_path, {}).capture.statistics == Statistics(
-        "vgg19", tmp_path / "mine.pth"
-    )
-
-
 @pytest.mark.parametrize(
     ("text", "word"),
     [
@@ -75,7 +68,6 @@ def test_weights_are_relative_to_the_file(tmp_path):
         ("size = '12y'", "4096x256"),
         ("size = [1, 2, 3]", "4096x256"),
         ("time = 'soon'", "90s"),
-        ("statistics = 'vgg'", "vgg19=FILE"),
         ("tile = true\nsize = 100", "multiples of 16"),
         ("preset = {a = 1}", "a text"),
         ("seed = ", "not TOML"),
@@ -103,7 +95,7 @@ CHANGES = {
     "roughness": 0.3,
     "preset": "draft", "steps": 7, "time": 5.0, "detail": 77, "fov": 30.0, "seed": 3,
     "size": (64, 32), "tile": True, "png": True, "normal": "dx",
-    "export": ("gltf",), "statistics": "vgg19=weights.pth", "generator": "decoder", "aligned": True,
+    "export": ("gltf",), "generator": "decoder", "aligned": True,
     "width_cm": 20.0, "drawing": False,
 }  # fmt: skip
 

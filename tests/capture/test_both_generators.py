@@ -13,7 +13,7 @@ from matcap.capture.by_decoder import photograph_target
 from matcap.capture.pipeline import capture_into, capture_photo
 from matcap.capture.rectified import Method, Rectified, fit_photograph
 from matcap.capture.report import read_report
-from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.settings import CaptureSettings, OutputSettings, RunStatus
 from matcap.cli.main import main
 from matcap.field.material import Material
 from matcap.photo.load import load_photo
@@ -66,14 +66,14 @@ def test_an_interrupt_keeps_the_material_by_example(monkeypatch):
 
     monkeypatch.setattr(both_generators, "tuned_decoder", interrupted)
     result = capture_photo(load_photo(PHOTO, long_side=DETAIL), SETTINGS)
-    assert result.interrupted and set(result.material.generators) == {"example"}
+    assert result.status is RunStatus.INTERRUPTED and set(result.material.generators) == {"example"}
 
 
 def test_the_field_that_looks_like_the_photograph_is_chosen():
     photo = load_photo(PHOTO, long_side=DETAIL)
     coarse = fit_photograph(photo)
     rectified = Rectified.of(photo, coarse, DETAIL)
-    target, plane = photograph_target(rectified, SETTINGS, Method()), rectified.whole
+    target, plane = photograph_target(rectified, Method()), rectified.whole
     height, width = plane.linear.shape[1:]
     flat, uniform = torch.ones(1, height, width), torch.tensor(coarse.diffuse)[:, None, None]
     texture = plane.linear / shading(plane.linear[None])[0].clamp_min(1e-3)

@@ -30,8 +30,8 @@ from matcap.capture.report import OutputSettings, write_outputs
 from matcap.capture.settings import DETAIL, CaptureSettings
 from matcap.field.material import Material
 from matcap.field.opened import open_photographed
-from matcap.flash.alignment import TiltMeasurement
 from matcap.flash.coarse.fit import fit_coarse
+from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import FlashSetup, Margins
 from matcap.flash.rectify import plane_of
 from matcap.relight.photographed import photographed_scene
@@ -124,7 +124,7 @@ TILTED = tuple(
     (name, (0.2 * math.cos(angle), 0.2 * math.sin(angle)))
     for angle, name in enumerate(("leather", "granite", "rust"))
 )
-SAID = TiltMeasurement(math.radians(9.0), math.radians(-6.0), 1e-4, 1e-4)
+SAID = TiltPrior((math.radians(9.0), math.radians(-6.0)), (1e-4, 1e-4))
 
 
 def tilted_photo(name, tilt):
@@ -171,7 +171,6 @@ def test_a_capture_uses_the_tilt_of_the_alignment_branch(tmp_path, photos, asked
     assert values["branch"] == [9.0, -6.0]
     assert values["used"] == pytest.approx([9.0, -6.0], abs=0.3)
     assert camera["tilt_degrees"] == pytest.approx(values["used"], abs=0.01)
-    assert max(abs(p - b) for p, b in zip(values["picture"], values["branch"], strict=True)) > 1.0
 
 
 def test_inspect_uses_the_alignment_branch(photos, asked):
@@ -242,7 +241,6 @@ def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_
     )
     done = {name: capture_file(path, settings) for name, path in photographs.items()}
     lying, standing = done["lying"], done["standing"]
-    assert lying.verdict.document()["checks"]["steepness"]["value"] > 0.0
     assert standing.maps.size == (144, 192) == standing.rectified.shape[1::-1]
     np.testing.assert_array_equal(
         standing.estimate.exemplar.diffuse, np.rot90(lying.estimate.exemplar.diffuse, -1, (1, 2))

@@ -167,7 +167,6 @@ def test_the_piece_has_the_finest_texels_where_there_is_time_for_them(asked, wan
         ("--steps", {"steps": 7}),
         ("--prior", {"prior": "none"}),
         ("--prior", {"prior": "/nonexistent"}),
-        ("--statistics", {"statistics": "vgg19=/nonexistent"}),
         ("--no-drawing", {"drawing": False}),
     ],
 )

@@ -10,6 +10,7 @@ from random_maps import random_maps
 
 from matcap.capture import pipeline as capturing
 from matcap.capture.result import CaptureResult, Tuning
+from matcap.capture.settings import RunStatus
 from matcap.capture.verdict.judge import judge
 from matcap.capture.verdict.measurements import measure_capture
 from matcap.cli import capture as capturing_command
@@ -74,6 +75,8 @@ class FakePipeline:
         clock = clock or capturing.clock_of(settings, progress, 1 + len(others))
         with clock.stage(longest):
             clock.within(longest, 0.5)
+        if self.interrupt:
+            clock.status = RunStatus.INTERRUPTED
         material = FakeMaterial(Path(photo.name).stem)
         again = photo.pixels * 0.9
         seen = measure_capture(photo, material.setup, photo.pixels, again, ~photo.clipped)
@@ -88,7 +91,7 @@ class FakePipeline:
             verdict=judge(seen),
             stage_seconds={"coarse fit": 0.5, longest: 0.5},
             settings=settings,
-            interrupted=self.interrupt,
+            status=clock.status,
             tuning=tuned if settings.generator == "decoder" else None,
         )
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 import torch.nn.functional as F
-from safetensors.torch import save_file
 
-from matcap.capture.by_decoder import Vgg19, _features, load_vgg19
-from matcap.capture.settings import CaptureSettings, Statistics
-from matcap.errors import MatcapError, UsageError
 from matcap.statistics.compare import (
     QUANTILES,
     Descriptor,
@@ -293,78 +289,3 @@ def test_constant_features_have_no_covariance_and_a_finite_gradient():
     assert found.abs().max() < 1e-6
     found.sum().backward()
     assert bool(torch.isfinite(one.grad).all())
-
-
-# VGG-19 with random weights: its shape, its file, and textures compared by it.
-
-
-@pytest.fixture(scope="module")
-def network():
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        return Vgg19(levels=2)
-
-
-def vgg_picture(seed=0, side=48):
-    return 0.4 * torch.rand(1, 3, side, side, generator=torch.Generator().manual_seed(seed))
-
-
-def test_vgg19_has_the_parameter_names_and_shapes_of_torchvision(network):
-    shapes = {name: tuple(value.shape) for name, value in network.state_dict().items()}
-    assert shapes["features.0.weight"] == (64, 3, 3, 3)
-    assert shapes["features.10.weight"] == (256, 128, 3, 3)
-    assert shapes["features.28.bias"] == (512,)
-    assert len(shapes) == 2 * 13
-    assert not any(parameter.requires_grad for parameter in network.parameters())
-
-
-def test_vgg19_compares_five_layers(network):
-    found = network.maps(vgg_picture(), ())
-    assert [tuple(f.shape[1:]) for f in found] == [
-        (64, 48, 48), (128, 24, 24), (256, 12, 12), (512, 6, 6), (512, 3, 3),
-    ]  # fmt: skip
-    assert all(f.min() >= 0 for f in found)
-
-
-def test_vgg19_distance_has_a_gradient_to_the_picture(network):
-    encoding = fit_encoding(vgg_picture()[0], torch.ones(48, 48, dtype=torch.bool))
-    target = describe(vgg_picture(), encoding, network)
-    assert len(target.grams) == 5 and len(target.spectra) == 2
-    assert float(distance(target, target, Weights())) == 0
-    rendered = torch.cat([vgg_picture(1)[..., :24, :], torch.zeros(1, 3, 24, 48)], dim=2)
-    rendered.requires_grad_()
-    loss = distance(describe(rendered, encoding, network), target, Weights()).sum()
-    loss.backward()
-    assert torch.isfinite(rendered.grad).all() and rendered.grad.abs().max() > 0
-
-
-def test_vgg19_weights_are_read_by_name_and_other_files_refused(network, tmp_path):
-    path = tmp_path / "vgg19.safetensors"
-    extra = {"classifier.0.weight": torch.zeros(2, 2)}  # the published file holds more
-    save_file({**network.state_dict(), **extra}, path)
-    read = _features(CaptureSettings(statistics=Statistics.parse(f"vgg19={path}")))
-    assert all(
-        torch.equal(a, b)
-        for a, b in zip(read.state_dict().values(), network.state_dict().values(), strict=True)
-    )
-    save_file({"features.0.weight": torch.zeros(64, 3, 5, 5)}, path)
-    other = tmp_path / "vgg19.pth"
-    other.write_bytes(b"something else")
-    for wrong, why in [(path, "not VGG-19"), (other, "SHA-256"), (tmp_path / "none", "no such")]:
-        with pytest.raises(MatcapError, match=why):
-            load_vgg19(wrong)
-
-
-@pytest.mark.parametrize("statistics", ["vgg19", "vgg16", ""])
-def test_unknown_statistics_are_a_usage_error(statistics):
-    with pytest.raises(UsageError, match="no statistics"):
-        Statistics.parse(statistics)
-
-
-@pytest.mark.parametrize("words", ["filterbank", "vgg19=some/file.pth"])
-def test_settings_name_the_statistics(words):
-    settings = CaptureSettings.of({"statistics": words})
-    assert settings.statistics == Statistics.parse(words)
-    assert settings.named()["statistics"] == str(settings.statistics) == words
-    assert CaptureSettings.of(settings.named()) == settings
-    assert CaptureSettings().named()["statistics"] == "filterbank"

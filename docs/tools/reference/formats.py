@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from importlib import import_module
+from importlib.resources import files
 from types import ModuleType
 
 from matcap.batch.samples import SETTINGS
 from matcap.brdf.folder import MEANINGS, PNG_ENCODINGS
 from matcap.brdf.maps import CHANNELS
-from matcap.capture.settings import Statistics
 from matcap.files.settings import field_docs
 from matcap.relight import scene
 from reference.docstrings import read, table
@@ -36,6 +37,10 @@ that has a default. An unknown key is an error that names the nearest right one.
 units, angles degrees, colours linear Rec.709. Files are relative to the scene file: `.exr` or
 `.hdr` for environment maps. Examples: `examples/scenes`.
 """
+_REPORT = """\
+Input, settings, errors, verdict and versions of a capture, as `matcap/capture/report.schema.json`
+says, a JSON Schema. Angles in degrees, times in seconds, lengths in plane units.
+"""
 _SETTINGS = """\
 In the folder of photographs or beside it. Keys are the names of the options of
 [matcap batch](commands.md#matcap-batch), with `_` or `-`. Options override the file. Paths are
@@ -56,7 +61,6 @@ _OWNED = (
     ("Material: `.matcap`", "matcap.field.material", ("Tensors", "Metadata")),
     ("Map set: a folder", "matcap.brdf.folder", ("Keys",)),
     ("Export: `NAME_TARGET.json`", "matcap.export.targets", ("Keys",)),
-    ("Report: `report.json`", "matcap.capture.report", ("Keys",)),
     ("Page for sending: `.html`", "matcap.view.document", ("Tile",)),
 )
 
@@ -66,6 +70,8 @@ def page() -> str:
     lines = [_HEAD, *_maps()]
     for heading, module, sections in _OWNED:
         lines += [f"## {heading}", "", *_owned(import_module(module), sections)]
+    lines += ["## Report: `report.json`", "", _REPORT]
+    lines += table(["keys", ""], ([f"`{key}`", says] for key, says in report_keys().items()))
     lines += ["## Scene: TOML", "", _SCENE, *_scene(), "## Settings: `matcap.toml`", "", _SETTINGS]
     lines += _settings()
     return "\n".join(lines)
@@ -74,6 +80,12 @@ def page() -> str:
 def keys(module: str, section: str) -> set[str]:
     """The keys that a module says its files have."""
     return set(read(import_module(module)).entries(section))
+
+
+def report_keys() -> dict[str, str]:
+    """The keys of report.json and what they are, as its JSON Schema says."""
+    schema = json.loads(files("matcap.capture").joinpath("report.schema.json").read_text())
+    return {key: says["description"] for key, says in schema["properties"].items()}
 
 
 def _maps() -> list[str]:
@@ -133,7 +145,7 @@ def _toml(default: object) -> str:
     """A default as the file would have it."""
     if default is None:
         return ""
-    if isinstance(default, str | Statistics):
+    if isinstance(default, str):
         return f'`"{default}"`'
     if isinstance(default, bool):
         return f"`{str(default).lower()}`"

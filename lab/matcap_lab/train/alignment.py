@@ -38,7 +38,6 @@ from matcap.flash.alignment import (
     tilt_measurement,
 )
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import CORNER_SQUARED
 from matcap.photo.exif import phone_fov
@@ -354,11 +353,11 @@ def report_alignment(branch: Alignment, count: int = 120) -> str:
         errors, scores, used = [], [], []
         for seed in range(UNSEEN, UNSEEN + count):
             photo, true = tilted_photo(seed, EVALUATED, radiometric=radiometric)
-            x, y, *std = tilt_measurement(photo, branch)
-            coarse = fit_coarse(photo, tilt_prior=TiltPrior((x, y), (std[0], std[1])))
+            measured = tilt_measurement(photo, branch)
+            coarse = fit_coarse(photo, tilt_prior=measured)
             tilt = torch.tensor(true)
-            errors.append(torch.tensor([x, y]) - tilt)
-            scores.append(errors[-1] / torch.tensor(std))
+            errors.append(torch.tensor(measured.mean) - tilt)
+            scores.append(errors[-1] / torch.tensor(measured.std))
             used.append(torch.tensor(coarse.setup.tilt) - tilt)
         degrees = torch.rad2deg(torch.stack(errors))
         size, (x, y) = degrees.abs(), degrees.mean(0).tolist()

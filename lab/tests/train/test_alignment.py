@@ -122,14 +122,14 @@ def measured():
 def test_it_is_nearer_than_square_and_leans_the_right_way(measured):
     """Both angles: a sign turned in either would make errors twice as large as saying nothing."""
     for axis in (0, 1):
-        errors = [abs(math.degrees(found[axis] - true[axis])) for found, true in measured]
+        errors = [abs(math.degrees(found.mean[axis] - true[axis])) for found, true in measured]
         nothing = [abs(math.degrees(true[axis])) for _, true in measured]
         assert np.mean(errors) < 0.45 * np.mean(nothing)
 
 
 def test_it_knows_how_far_it_is_off(measured):
     """Errors over their predicted deviations are about normal; and it is not always as sure."""
-    scores = np.array([(f[a] - t[a]) / f[a + 2] for f, t in measured for a in (0, 1)])
+    scores = np.array([(f.mean[a] - t[a]) / f.std[a] for f, t in measured for a in (0, 1)])
     assert 0.5 < np.sqrt(np.mean(scores**2)) < 2.0
-    deviations = [found.std_x for found, _ in measured]
+    deviations = [found.std[0] for found, _ in measured]
     assert max(deviations) > 1.3 * min(deviations)

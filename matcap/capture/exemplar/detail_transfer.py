@@ -90,25 +90,6 @@ def transfer_detail(
     )
 
 
-def sharpness(maps: MapSet, plane: Plane, coarse: Uniform) -> float:
-    """Amplitude of the finest octave of log radiance, re-rendering over photograph.
-
-    1 is as sharp as the photograph. Over valid texels; 1 without any.
-    """
-    width, height = plane.size
-    rendered = PlaneLight(coarse, plane.size).rendered(maps)[0]
-    observed = plane.linear.clamp_min(DARKEST).log()
-    half = ((width + 1) // 2, (height + 1) // 2)
-    seen = plane.valid
-    if not bool(seen.any()):
-        return 1.0
-    shown, true = (
-        _high_passed(torch.where(seen, x, observed), half)[:, seen].square().mean()
-        for x in (rendered, observed)
-    )
-    return float((shown / true.clamp_min(1e-12)).sqrt())
-
-
 def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
     """Interpolate maps bicubically to a plane's resolution, albedo in logarithms.
 

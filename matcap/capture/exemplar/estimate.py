@@ -20,15 +20,10 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import CHANNELS, MapSet
-from matcap.capture.exemplar.detail_transfer import sharpness, transfer_detail
+from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.material_classes import find_mixture, tinted
-from matcap.capture.exemplar.mean_parameters import (
-    RingTarget,
-    diffuse_share_residual,
-    most_probable_scale,
-    scaled,
-)
+from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.observation import Observation, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
@@ -73,21 +68,12 @@ class ExemplarEstimate:
     """Relief and albedo energies measured in the photograph, or None."""
     error: float
     """Median |log radiance of photograph - re-rendering| of valid texels."""
-    slow: float
-    """Mean |low-frequency residual| of log radiance, which is not the material's."""
-    sharpness: float = 1.0
-    """Amplitude of the finest octave of log radiance, re-rendering over photograph."""
-    interrupted: bool = False
-    """Whether Ctrl-C ended the estimation from several photographs."""
     several: SetReport | None = None
     """Report on several photographs; None for one."""
     scale: float = 1.0
     """Factor on albedo and F0 by mean_parameters.py; the flash is divided by it."""
     level_deviation: float | None = None
     """Standard deviation of log albedo over F0 of a dielectric (CoarseFit); None of others."""
-    diffuse_share_residual: float | None = None
-    """Root mean square of standardised residuals of the diffuse share by ring (mean_parameters.py);
-    None where texture shows none."""
     turned: bool = False
     """Whether the maps are rotated to a portrait photograph's orientation."""
     kept: TexelMask | None = None
@@ -104,23 +90,11 @@ class ExemplarEstimate:
             margins, size = margins.turned(), size[::-1]
         return self.exemplar.cut(*margins.inside(size))
 
-    @property
-    def landscape_maps(self) -> MapSet:
-        """Maps of `first_rectangle` in landscape orientation, in which photographs are measured."""
-        maps = map_set_of(self.first_rectangle)
-        return maps.turned(1) if self.turned else maps
-
     def upright(self, waves: tuple[Wave, ...]) -> ExemplarEstimate:
         """A portrait's estimate, its maps rotated upright; `waves` is their lattice."""
         exemplar, example = indexed(self.exemplar, waves, turned=True, kept=self.kept)
         kept = _upright(self.kept, turned=True)
         return replace(self, exemplar=exemplar, example=example, turned=True, kept=kept)
-
-    def with_sharpness(self, rectified: Rectified) -> ExemplarEstimate:
-        """The estimate with its sharpness, measured in its photograph."""
-        return replace(
-            self, sharpness=sharpness(self.landscape_maps, rectified.whole, rectified.coarse)
-        )
 
     def mean_confidence(self, kept: float = 1.0) -> dict[str, float]:
         """Mean confidence by map, in [0, 1], over the share `kept` of the photograph's texels."""
@@ -187,25 +161,18 @@ def estimate_exemplar(
         kept = None if whole.left_out is None else whole.kept.numpy()
         exemplar, example = indexed(exemplar, rectified.waves, turned=turned, kept=kept)
     plane = observed.plane
-    residual, slow = radiance_residual(
-        prediction.residuals, plane.linear, plane.measured, observed.light
-    )
-    seen = residual[:, plane.valid].abs()
-    error = float(seen.median()) if seen.numel() else 0.0
-    estimate = ExemplarEstimate(
+    photograph = plane.linear, plane.measured, observed.light
+    off = radiance_residual(prediction.residuals, *photograph)[:, plane.valid]
+    return ExemplarEstimate(
         exemplar,
         example,
         spectrum,
-        error,
-        float(slow.abs().mean()),
+        float(off.abs().median()) if off.numel() else 0.0,
         scale=scale,
         level_deviation=coarse.level_deviation,
-        diffuse_share_residual=diffuse_share_residual(
-            RingTarget.of(observed, prediction.residuals, prediction.classes.metal)
-        ),
         turned=turned,
+        kept=_upright(kept, turned=turned),
     )
-    return replace(estimate, kept=_upright(kept, turned=turned)).with_sharpness(rectified)
 
 
 def refined(
@@ -328,8 +295,8 @@ def classified(
         target = RingTarget.of(observed, prediction.residuals, (False,))
         target = replace(target, surface=observed.light.uniform)
         mixture = find_mixture(prediction.residuals, prediction.logit, target)
-        if mixture.likely(observed.light.uniform):
-            classes = mixture.classes
+        if mixture is not None:
+            classes = mixture
             observed = tinted(observed, classes.metal_share)
     gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
     constrained = classes.constrained(prediction.residuals, gloss)

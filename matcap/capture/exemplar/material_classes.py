@@ -199,36 +199,11 @@ class Classes:
         return total[None]
 
 
-@dataclass(frozen=True)
-class Mixture:
-    """Metal and dielectric in one photograph, and the quality of the fit."""
+def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget) -> Classes | None:
+    """Metal and dielectric in one photograph, metal first, by expectation maximisation.
 
-    classes: Classes
-    """Metal first."""
-    residual: float
-    """Mean absolute residual of log radiance of the ring means."""
-    correlation: float
-    """Correlation of the class log odds by radiance with the network's."""
-
-    def likely(self, uniform: SurfaceParameters) -> bool:
-        """Whether shares, F0 contrast and quality of fit indicate metal and a dielectric.
-
-        Args:
-            uniform: log parameters of the uniform material, to which mean parameters are relative.
-        """
-        bare, rest = self.classes.mean_parameters
-        share = float(self.classes.metal_share.mean())
-        return (
-            min(share, 1.0 - share) > LEAST_PART
-            and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
-            and how_metallic(uniform.vector() + rest) < -_LEAST_ODDS
-            and self.residual < _MOST_RING_RESIDUAL * self.correlation
-            and self.correlation > _LEAST_CORRELATION
-        )
-
-
-def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget) -> Mixture:
-    """Fit two classes, metal and dielectric, by expectation maximisation.
+    None unless shares, contrast of F0, residual of ring means and agreement with the network
+    indicate both.
 
     Args:
         residuals: predicted, from the coarse fit.
@@ -266,7 +241,16 @@ def find_mixture(residuals: SurfaceParameters, logit: Tensor, target: RingTarget
     metal = _share(by_radiance, by_network, float(metal.mean()))
     both = torch.stack([by_radiance.flatten(), by_network.flatten()])
     correlation = float(torch.corrcoef(both)[0, 1].nan_to_num())
-    return Mixture(replace(_pair(metal), mean_parameters=theta), residual, correlation)
+    bare, rest = theta
+    share = float(metal.mean())
+    likely = (
+        min(share, 1.0 - share) > LEAST_PART
+        and float(bare[F0] - rest[F0]) > _LEAST_CONTRAST
+        and how_metallic(target.surface.vector() + rest) < -_LEAST_ODDS
+        and residual < _MOST_RING_RESIDUAL * correlation
+        and correlation > _LEAST_CORRELATION
+    )
+    return replace(_pair(metal), mean_parameters=theta) if likely else None
 
 
 def _two_means(score: Tensor) -> float:
@@ -288,7 +272,7 @@ def _pair(metal: Tensor) -> Classes:
 def _coloured(target: RingTarget, metal: Tensor) -> RingTarget:
     """The target with the specular tint of metal set to the mean colour of its texels (1, H, W)."""
     seen = metal * target.measured.all(0, keepdim=True) * target.counts
-    return replace(target, tints=(whole_colour(target.linear, seen), 1.0), diffuse=None)
+    return replace(target, tints=(whole_colour(target.linear, seen), 1.0))
 
 
 def metal_score(residuals: SurfaceParameters, logit: Tensor) -> Tensor:

@@ -23,12 +23,12 @@ from matcap.brdf.cook_torrance import (
     Reflectance,
     SurfaceParameters,
 )
+from matcap.brdf.maps import normals_from_height
 from matcap.capture.exemplar.observation import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0, Gaussian
-from matcap.flash.diffuse_share import RADII, DiffuseRings
 from matcap.flash.least_squares import huber, minimised
 from matcap.flash.light import DARKEST, FlashLight
 
@@ -172,10 +172,6 @@ def _most(plane: NDArray[np.float32], quantile: float) -> float:
 # relief but not on its registration, and weigh the few texels at the mirror point like the many
 # beyond. The radiance of a partly clipped ring is a lower bound; taken as equality it would bias
 # roughness.
-#
-# Profiles of a lobe, of the flash's cone and of vignetting look alike, so the diffuse share of a
-# dielectric's rings is compared with that of its texture's colour contrast
-# (flash/diffuse_share.py).
 
 
 _INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
@@ -222,8 +218,6 @@ class RingTarget:
     """Specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number."""
     limit: float = 1.0
     """Radiance at which the photograph clips; resampling may exceed it."""
-    diffuse: DiffuseRings | None = None
-    """Colour scatter of the texture, of one class that is dielectric; None of others."""
 
     @staticmethod
     def of(
@@ -242,11 +236,10 @@ class RingTarget:
             counts=observed.within,
             distance=observed.from_mirror_point,
             flash=observed.light.flash,
-            normal=observed.light.maps(residuals).normal,
+            normal=normals_from_height(residuals.height, 1.0),
             surface=observed.light.uniform + residuals,
             tints=tuple(observed.light.tint if each else 1.0 for each in metal),
             limit=observed.plane.encoding.limit,
-            diffuse=observed.diffuse if metal == (False,) else None,
         )
 
     def thinned(self, texels: int) -> RingTarget:
@@ -357,61 +350,8 @@ def fit_mean_parameters(
     problem = fit.cost, fit.quadratic, start.flatten(), _STEPS
     _, theta = minimised(*problem, farthest=_MOST_STEP, tolerance=1e-7)
     residual = fit.residuals(theta)
-    weight = fit.weights(residual) * fit.of_radiance
+    weight = fit.weights(residual)
     return theta.reshape(start.shape), float((residual.abs() * weight).sum() / weight.sum())
-
-
-def diffuse_share_residual(target: RingTarget) -> float | None:
-    """Root mean square of the standardised residuals of the diffuse share by ring; None where it is
-    not measured.
-    """
-    if target.diffuse is None:
-        return None
-    (surface,) = target.surfaces(torch.zeros(1, 5))
-    incidence = target.flash.onto(target.normal)
-    off = _DiffuseRings(target, target.diffuse).residuals(
-        incidence.diffuse(surface.diffuse),
-        incidence.specular(surface.specular, surface.roughness),
-    )
-    return float(off.square().mean().sqrt()) / _NOISE
-
-
-class _DiffuseRings:
-    """Residuals of the diffuse share by ring, of one class."""
-
-    def __init__(self, target: RingTarget, measured: DiffuseRings) -> None:
-        self._measured = measured
-        radii = torch.tensor(RADII[1:-1], dtype=target.distance.dtype)
-        self._ring = torch.bucketize(target.distance.contiguous(), radii, right=True).flatten()
-        seen = target.counts & target.measured.all(0) & (target.distance < RADII[-1])
-        self._weight = seen.to(target.distance).flatten()
-
-    def _sums(self, picture: Tensor) -> Tensor:
-        """(C, n) sums of a picture (C, H, W) over the measured rings."""
-        many = len(RADII) - 1
-        sums = [torch.bincount(self._ring, c * self._weight, many) for c in picture.flatten(1)]
-        return torch.stack(sums)[:, self._measured.number].double()
-
-    def residuals(self, matte: Tensor, mirrored: Tensor) -> Tensor:
-        """(n,) of diffuse and specular radiance (3, H, W), in units of _NOISE."""
-        diffuse = self._sums(matte).sum(0)
-        whole = diffuse + self._sums(mirrored).sum(0)
-        share = diffuse / whole.clamp_min(DARKEST)
-        return (_NOISE * self._measured.residuals(share)).float()
-
-    def columns(self, matte: Tensor, mirrored: Tensor, by_gloss: tuple[Tensor, ...]) -> Tensor:
-        """(5, n) derivatives of the explained log scatter by mean parameters, in the same units.
-
-        Args:
-            matte, mirrored: (3, H, W) radiance.
-            by_gloss: (3, H, W) each, derivatives of `mirrored` by log F0 and logit roughness.
-        """
-        by_albedo = self._sums(matte)
-        diffuse = by_albedo.sum(0).clamp_min(DARKEST)
-        whole = diffuse + self._sums(mirrored).sum(0)
-        gloss = torch.stack([-self._sums(each).sum(0) / whole for each in by_gloss])
-        log_share = torch.cat([by_albedo * (1.0 / diffuse - 1.0 / whole), gloss])
-        return (_NOISE * log_share @ self._measured.whitening.T).float()
 
 
 class _RingFit:
@@ -423,32 +363,20 @@ class _RingFit:
         self._incidence = target.flash.onto(target.normal)
         means = self._rings.means(target.linear.clamp_max(target.limit))
         self._observed = means.clamp_min(DARKEST).log().flatten()
-        measured = target.diffuse
-        self._diffuse = None if measured is None else _DiffuseRings(target, measured)
-        more = 0 if measured is None else len(measured.number)
-        pad = torch.nn.functional.pad
-        self._counts = pad(self._rings.counts.flatten(), (0, more), value=1.0) / _NOISE**2
+        self._counts = self._rings.counts.flatten() / _NOISE**2
         clipped = self._rings.means((~target.measured).float()).flatten()
-        self._open = pad((1.0 - clipped / BOUND).clamp(0.0, 1.0), (0, more), value=1.0)
-        self.of_radiance = pad(torch.ones_like(clipped), (0, more))
+        self._open = (1.0 - clipped / BOUND).clamp(0.0, 1.0)
         self._contrast = torch.zeros_like(prior.mean)
         self._contrast[0, F0], self._contrast[-1, F0] = 1.0, -1.0
 
     def residuals(self, theta: Tensor) -> Tensor:
-        """(N,) residuals of log radiance, photographed less rendered ring means, and of the diffuse
-        share.
-        """
-        radiance, shares = torch.zeros(1), []
+        """(N,) residuals of log radiance, photographed less rendered ring means."""
+        radiance = torch.zeros(1)
         surfaces = self._target.surfaces(theta.unflatten(0, (-1, 5)))
         for share, surface in zip(self._shares, surfaces, strict=True):
-            matte = self._incidence.diffuse(surface.diffuse)
-            mirrored = self._incidence.specular(surface.specular, surface.roughness)
-            radiance = radiance + share * (matte + mirrored)
-            if self._diffuse is not None:
-                shares.append(self._diffuse.residuals(matte, mirrored))
+            radiance = radiance + share * self._incidence.radiance(*surface)
         rendered = self._rings.means(radiance)
-        off = self._observed - rendered.clamp_min(DARKEST).log().flatten()
-        return torch.cat([off, *shares])
+        return self._observed - rendered.clamp_min(DARKEST).log().flatten()
 
     def weights(self, residual: Tensor) -> Tensor:
         """(N,) weights of residuals; that of a clipped ring's is small if the model is brighter."""
@@ -481,7 +409,7 @@ class _RingFit:
         """(N,) residuals, and (5 K, N) d log mean / d mean parameter."""
         # (K, C, rings) of each class: diffuse, and derivatives of specular by both parameters.
         means, incidence, whole = self._rings.means, self._incidence, torch.zeros(1)
-        parts, shares, by_share = [], [], []
+        parts = []
         surfaces = self._target.surfaces(theta.unflatten(0, (-1, 5)))
         for share, surface in zip(self._shares, surfaces, strict=True):
             matte = incidence.diffuse(surface.diffuse)
@@ -491,14 +419,10 @@ class _RingFit:
             by_gloss = mirrored * lobe.log_specular, mirrored * lobe.logit_roughness
             parts.append([share * each for each in (matte, *by_gloss)])
             whole = whole + share * (matte + mirrored)
-            if self._diffuse is not None:
-                shares.append(self._diffuse.residuals(matte, mirrored))
-                by_share.append(self._diffuse.columns(matte, mirrored, by_gloss))
         mean = means(whole).clamp_min(DARKEST)
         columns = []
         for matte, *gloss in parts:
             albedo = means(matte) / mean
             columns += [albedo * unit[:, None] for unit in torch.eye(3)]
             columns += [means(one) / mean for one in gloss]
-        residual = torch.cat([self._observed - mean.log().flatten(), *shares])
-        return residual, torch.cat([torch.stack(columns).flatten(1), *by_share], dim=1)
+        return self._observed - mean.log().flatten(), torch.stack(columns).flatten(1)

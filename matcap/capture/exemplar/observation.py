@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -23,7 +22,6 @@ from matcap.capture.exemplar.network.network import NetworkInputs, network_input
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.files.color import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.diffuse_share import DiffuseRings, measure_diffuse_share, undeveloped
 from matcap.flash.geometry import flash_mirror_point, plane_points
 from matcap.flash.light import (
     FlashLight,
@@ -177,26 +175,6 @@ class Observation:
     def from_vignetting_centre(self) -> Tensor:
         """(H, W) distance from the vignetting's centre in the photograph, in half widths."""
         return torch.hypot(*from_vignetting_centre(self.points, self.coarse.setup))
-
-    @cached_property
-    def diffuse(self) -> DiffuseRings | None:
-        """Colour scatter of the texture by ring around the mirror point; None without colour."""
-        plane, tone = self.plane, None
-        pixels = np.ascontiguousarray(plane.linear.permute(1, 2, 0).numpy())
-        if self.coarse.tone != ToneCurve():
-            pixels, tone = undeveloped(
-                self.coarse.tone.developed(pixels), self.coarse.tone.exponent
-            )
-        measured = measure_diffuse_share(
-            pixels,
-            (self.within & plane.measured.all(0)).numpy(),
-            flash_mirror_point(self.coarse.setup),
-            developed=plane.developed,
-            noise=None if plane.noise is None else plane.noise.permute(1, 2, 0).numpy(),
-            tone=tone,
-        )
-        colour = torch.tensor(self.coarse.setup.intensity, dtype=torch.float64)
-        return None if measured is None else measured.under(colour)
 
 
 def seen_share(measured: Tensor) -> NDArray[np.float32]:

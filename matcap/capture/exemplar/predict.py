@@ -105,13 +105,17 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     """
     height, width = inputs.shape[-2:]
     multiple = network.config.multiple
-    total: Tensor | None = None
+    right, below = multiple - 1, multiple - 1
+    mode = "reflect" if multiple < min(height, width) else "replicate"
+    whole = F.pad(inputs[None], (1, right, 1, below), mode=mode)
+    whole = whole.contiguous(memory_format=torch.channels_last)
+    total: Tensor | float = 0.0
     for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        pad = (across, -(width + across) % multiple, down, -(height + down) % multiple)
-        mode = "reflect" if max(pad) < min(height, width) else "replicate"
-        whole = F.pad(inputs[None], pad, mode=mode) if any(pad) else inputs[None]
-        answer: Tensor = network(whole.contiguous(memory_format=torch.channels_last))
-        answer = answer[0, :, down : down + height, across : across + width]
-        total = answer if total is None else total + answer
-    assert total is not None
+        rows, columns = (
+            -(-(n + by) // multiple) * multiple for n, by in ((height, down), (width, across))
+        )
+        part = whole[:, :, 1 - down :, 1 - across :][..., :rows, :columns]
+        answer: Tensor = network(part.contiguous(memory_format=torch.channels_last))
+        total = answer[0, :, down : down + height, across : across + width] + total
+    assert isinstance(total, Tensor)
     return total / 4.0

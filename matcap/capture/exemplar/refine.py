@@ -99,7 +99,7 @@ _RINGS, _SECTORS = 64, 16  # rings across the long side, and their parts
 _MOST_SHIFT = 2.0  # largest factor on the mean radiance
 
 # Mean parameters.
-FIT_TEXELS = 384  # short side of the grid of the fit
+FIT_TEXELS = 192  # short side of the grid of the fit
 # Standard deviation of the mean residual of rings, over that of the log scale of relief.
 _RESIDUAL_BY_SCALE = 0.05
 # Prior standard deviations of mean parameters (log albedo 3, log F0, logit roughness) around their
@@ -430,13 +430,10 @@ def with_photographed_mean(
 
 def radiance_residual(
     residuals: SurfaceParameters, linear: Tensor, valid: Tensor, light: PhotographLight
-) -> tuple[Tensor, Tensor]:
-    """(3, H, W) each: residual of log radiance, photograph less re-rendering, and its low
-    frequencies, which are not the material's; arguments as of refine_albedo.
-    """
+) -> Tensor:
+    """(3, H, W) log radiance of the photograph less the re-rendering's; as of refine_albedo."""
     log, _ = light.rendered(light.maps(residuals))
-    difference = _log_difference(linear.clamp_min(DARKEST).log(), log, valid)
-    return difference, _slow(difference, valid)
+    return _log_difference(linear.clamp_min(DARKEST).log(), log, valid)
 
 
 def _log_difference(observed: Tensor, log: Tensor, valid: Tensor) -> Tensor:

@@ -217,8 +217,6 @@ class ReliefSpectrum:
     """Amplitude of log albedo, sqrt(A)."""
     slope: Doubles
     """Amplitude of the slope along the direction, sqrt(S)."""
-    significance: Doubles
-    """Significance of the slope energy, S^2 / (S^2 + standard error^2), in [0, 1]."""
     deviation: Doubles
     """(len(BANDS),) standard deviation of the slope energy, summed over directions."""
 
@@ -228,12 +226,10 @@ class ReliefSpectrum:
         return float(np.sqrt(np.square(self.slope).sum()))
 
     def document(self) -> dict[str, Any]:
-        """JSON: `relief`, and for each of `bands` its `wavelengths` in texels, `albedo`,
-        `slope` and `significance` over all directions, and `slopes` along 0, 30 ... 150 degrees
-        from x.
+        """JSON: `relief`, and for each of `bands` its `wavelengths` in texels, `albedo` and `slope`
+        over all directions, `slopes` along 0, 30 ... 150 degrees from x, and `deviation`.
         """
         energy = np.square(self.slope)
-        significance = (self.significance * energy).sum(1) / np.maximum(energy.sum(1), 1e-12)
         return {
             "relief": self.relief,
             "bands": [
@@ -241,7 +237,7 @@ class ReliefSpectrum:
                     "wavelengths": list(BANDS[band]),
                     "albedo": float(np.sqrt(np.square(self.albedo[band]).sum())),
                     "slope": float(np.sqrt(energy[band].sum())),
-                    "significance": float(significance[band]),
+                    "deviation": float(self.deviation[band]),
                     "slopes": self.slope[band].tolist(),
                 }
                 for band in range(len(BANDS))
@@ -291,7 +287,6 @@ def measure_relief_spectrum(
     return ReliefSpectrum(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
-        significance=np.square(slope) / (np.square(slope) + np.square(error) + 1e-12),
         deviation=deviation,
     )
 

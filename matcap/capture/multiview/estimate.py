@@ -48,7 +48,7 @@ from matcap.capture.multiview.views import ResampledView
 from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
-from matcap.capture.settings import CaptureClock
+from matcap.capture.settings import CaptureClock, RunStatus
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
@@ -124,9 +124,10 @@ def estimate_multiview(
         metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
-    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], 0.0)
-    result = replace(result, interrupted=not done, several=report, scale=scale, turned=first.turned)
-    return rectified, result.with_sharpness(rectified)
+    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0])
+    if not done:
+        clock.status = RunStatus.INTERRUPTED
+    return rectified, replace(result, several=report, scale=scale, turned=first.turned)
 
 
 def _unless_interrupted(otherwise: Result, compute: Callable[[], Result]) -> tuple[Result, bool]:

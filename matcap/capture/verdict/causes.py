@@ -13,11 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import ExemplarEstimate, map_set_of
+from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.exemplar.mean_parameters import BOUND
 from matcap.capture.exemplar.refine import LEAST_SHARE, MIRRORED
-from matcap.capture.exemplar.relief_spectrum import filled, slope_spectrum
+from matcap.capture.exemplar.relief_spectrum import filled
 from matcap.capture.rectified import Rectified
 from matcap.example.example import Example, coarse_places, detail_bits
 from matcap.example.exemplar import Exemplar
@@ -27,7 +26,6 @@ from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight, elongation, li
 from matcap.flash.light import FlashLight, cached_rows, strips
 from matcap.photo.checks import CAUSES, UNIFORM, Cause
 from matcap.photo.inspect import channel_mean
-from matcap.photo.photo import Photo
 
 # Highlight contrast and glint contrast, re-rendered over photographed.
 #
@@ -200,12 +198,6 @@ def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
 # maps do not depend on the light's position: a disc in albedo, a minimum of roughness or relief
 # that fades towards the mirror point is shading baked into the maps, which synthesis repeats as
 # stains.
-#
-# Steepness is the relief of a decoder's field over that of the exemplar which it was fine-tuned by.
-# Under a flash near the lens a dent and a stain look alike, so that statistics of the photograph
-# let a decoder draw stains as relief. Slopes of waves of 8 to 64 texels are compared: finer ones
-# would hide slow relief, and decoders blur the finest.
-
 
 BlockMeans = NDArray[np.float64]
 
@@ -213,9 +205,7 @@ BlockMeans = NDArray[np.float64]
 _BLOCKS = 24  # blocks along the long side; smaller structure is texture
 _RINGS = 6  # rings of equally many blocks; more resolve finer, with more sampling variance
 _TOE = 0.004  # added to albedo and F0 before logarithms
-_COARSE = slice(0, 3)  # of filters.BANDS: 8 to 64 texels
 _PART = 16  # texels of a side of a part of the exemplar, of which recurrences are counted
-_FLAT = 0.01  # root-mean-square slope of these waves below which a surface is flat to the eye
 
 
 @dataclass(frozen=True)
@@ -228,8 +218,6 @@ class ExemplarMeasurements:
     """Mean confidence by map."""
     residue: Mapping[str, float] | None = None
     """Radial variation of the maps about the mirror point (highlight_residue)."""
-    steepness: float = math.nan
-    """Slopes of a decoder's field over the exemplar's; NaN without a decoder."""
     variety: float = 1.0
     """Patch size of the field: 1 for small patches, 0 for the whole exemplar, whose features are as
     large as the photograph."""
@@ -242,8 +230,7 @@ class ExemplarMeasurements:
         estimate: ExemplarEstimate,
         rectified: Rectified,
         setup: FlashSetup,
-        drawn: MapSet | None,
-        seed: int,
+        seed: int | None,
     ) -> ExemplarMeasurements:
         """Measure an exemplar.
 
@@ -251,18 +238,16 @@ class ExemplarMeasurements:
             estimate: the exemplar.
             rectified: its photograph.
             setup: camera and flash, in the orientation of the exemplar.
-            drawn: maps of a decoder's field, or None.
-            seed: of the field.
+            seed: of its field; None if a decoder makes the field.
         """
         first, example = estimate.first_rectangle, estimate.example
         return ExemplarMeasurements(
             error=estimate.error,
             confidence=estimate.mean_confidence(rectified.photo.kept_share),
             residue=highlight_residue(first, setup),
-            steepness=math.nan if drawn is None else steepness(drawn, map_set_of(first)),
             # Of a lattice, whole periods are rearranged, however small they are.
             variety=1.0 if rectified.waves else example.variety,
-            repeats=_repeats(example, first.size, seed) if drawn is None else 0.0,
+            repeats=0.0 if seed is None else _repeats(example, first.size, seed),
         )
 
 
@@ -324,19 +309,6 @@ def _blocks(plane: BlockMeans) -> BlockMeans:
     return np.asarray(sums / np.multiply.outer(*counts), np.float64)
 
 
-def steepness(drawn: MapSet, exemplar: MapSet) -> float:
-    """Root-mean-square slope of maps over that of an exemplar.
-
-    NaN if both are flat or too small.
-    """
-    energies = [
-        float(np.square(slope_spectrum((maps.height[0] / maps.texel_size).numpy())[_COARSE]).sum())
-        for maps in (drawn, exemplar)
-    ]
-    ours, theirs = (energy + _FLAT**2 for energy in energies)
-    return math.sqrt(ours / theirs) if any(energies) else math.nan
-
-
 # Measurements of causes of a poor capture, in photograph and re-rendering.
 #
 # A cause is reported if its measurement exceeds its limit in the table (photo/checks.py).
@@ -346,8 +318,7 @@ SmoothLight = NDArray[np.float64]
 
 # Settings of the measurements; docs/notes/verdict.md.
 _RING_TERMS = 6  # piecewise linear terms in the distance from the centre
-# Quantile of the light above which texels are not fitted, as the highlight's error would look
-# like a tone curve.
+# Quantile of the light above which texels are not fitted, as the highlight errs there.
 _BRIGHTEST = 0.7
 _STRIP = 0.06  # width of the border that represents a side, as a share of the picture's
 # Inner and outer radius, plane units, of the ring that represents the centre.
@@ -355,7 +326,6 @@ _CENTRE_RING = (0.25, 0.5)
 
 
 def measure_causes(
-    photo: Photo,
     smooth: tuple[SmoothLight, SmoothLight],
     pictures: tuple[Picture, Picture],
     highlights: tuple[Highlight | None, Highlight | None],
@@ -364,23 +334,18 @@ def measure_causes(
     """Measurement of each cause by its name.
 
     Args:
-        photo: the photograph.
         smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
         pictures: (H, W, 3) both, unfiltered.
         highlights: of both.
         exemplar: measurements on the exemplar.
     """
     light, model = (each.mean(axis=2) for each in smooth)
-    side, room, curve = _brightest_side(light), _ambient_share(light, model), _bent(light, model)
+    side = _brightest_side(light)
     uniform = 0.0 <= side <= UNIFORM
-    # A tone curve or ambient light, whichever is stronger; of a RAW, ambient light.
-    room_strength = CAUSES["room light"].strength(room)
-    curved = not photo.radiometric and CAUSES["tone curve"].strength(curve) >= room_strength
     return {
         "anisotropic highlight": _streak(pictures, highlights),
         "light from a side": -math.inf if uniform else side,
-        "room light": 0.0 if curved else room,
-        "tone curve": curve if curved else 0.0,
+        "room light": _ambient_share(light, model),
         "large features": exemplar.variety,
     }
 
@@ -412,21 +377,6 @@ def _brightest_side(light: SmoothLight) -> float:
     around = light[(distance > _CENTRE_RING[0]) & (distance < _CENTRE_RING[1])]
     brightest = max(float(np.median(side)) for side in sides)
     return float(np.log((brightest + 1e-6) / (np.median(around) + 1e-6)))
-
-
-def _bent(light: SmoothLight, model: SmoothLight) -> float:
-    """Standard deviation of the part of log(light / model) explained by log model and its square.
-
-    Fitted together with functions linear in position.
-    """
-    floor = 0.02 * float(np.median(light)) + 1e-6
-    difference = np.log((light + floor) / (model + floor))
-    level = np.log(model + floor)
-    level = (level - level.mean()) / max(float(level.std()), 1e-6)
-    bent = np.stack([level, np.square(level)])
-    terms = [*bent, *_plane(difference.shape), np.ones_like(difference)]
-    curve = np.einsum("n,nhw->hw", _coefficients(difference, np.stack(terms))[:2], bent)
-    return float(curve.std())
 
 
 def _ambient_share(light: SmoothLight, model: SmoothLight) -> float:

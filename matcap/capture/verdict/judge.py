@@ -257,21 +257,12 @@ def _contrast(seen: Measurements) -> Finding:
 
 
 def _pattern(seen: Measurements) -> Finding:
-    """Finding on a pattern: how regular a lattice is, how connected dark or bright lines are."""
-    lost = []
-    if seen.order is not None and seen.order[0] >= _LEAST_ORDER:
-        before, after = seen.order
-        kept = min(max(after, 0.0) / before, 1.0)
-        lost.append((1.0 - kept, f"the pattern is {kept:.0%} as regular as in the photograph"))
-    if seen.connectivity is not None:
-        before, after = seen.connectivity
-        which, change = ("dark", after - before) if before > 0.0 else ("bright", before - after)
-        much = f"{math.exp(abs(change)):.2g} times {'more' if change > 0.0 else 'less'} connected"
-        # The cube root of a factor is as severe as the inverse of a share that is kept.
-        share = -math.expm1(-abs(change) / 3.0)
-        lost.append((share, f"{which} lines are {much} than in the photograph"))
-    value, what = max(lost, default=(math.nan, ""))
-    return CHECKS["pattern"].finding(value, what=what)
+    """Finding on how regular a lattice is."""
+    if seen.order is None or seen.order[0] < _LEAST_ORDER:
+        return CHECKS["pattern"].finding(math.nan)
+    before, after = seen.order
+    kept = min(max(after, 0.0) / before, 1.0)
+    return CHECKS["pattern"].finding(1.0 - kept, kept=kept)
 
 
 def _exemplar(seen: ExemplarMeasurements) -> Iterator[Finding]:
@@ -285,5 +276,3 @@ def _exemplar(seen: ExemplarMeasurements) -> Iterator[Finding]:
         visible, says = RESIDUES[name]
         amount = says.format(residue[name] if name == "roughness" else math.exp(residue[name]))
         yield CHECKS["highlight_residue"].finding(residue[name] / visible, amount=amount)
-    if math.isfinite(seen.steepness):
-        yield CHECKS["steepness"].finding(seen.steepness)

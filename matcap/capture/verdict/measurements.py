@@ -1,6 +1,4 @@
-"""Measured differences between a photograph and its re-rendering: light, highlight, texture,
-connectivity.
-"""
+"""Measured differences between a photograph and its re-rendering: light, highlight, texture."""
 
 from __future__ import annotations
 
@@ -35,78 +33,13 @@ from matcap.photo.inspect import (
     inspect_photo,
     upright_region,
 )
-from matcap.photo.left_out import area_averaged, cell_means
+from matcap.photo.left_out import cell_means
 from matcap.photo.photo import FULL, Photo
 from matcap.statistics.compare import Descriptor, FilterBank, Weights, describe, distance
 from matcap.statistics.lattice import Wave, periodicity
 
-# Connectivity: whether the dark or the bright lines of a pattern form connected nets.
-#
-# Leather is bright cells in a dark net; broken into spots, the net has the same contrast, spectrum
-# and neighbouring texels. In windows of a band of log luminance, a phase is the SHARE of texels
-# that are the darkest or the brightest, n_i the sizes of its clusters (4-connected), and
-#
-# S = sum n_i^2 / sum n_i,    connectivity = log(S_dark / S_bright),
-#
-# S the mean cluster size of percolation theory [stauffer1994, sec. 2.3]. It is positive for a dark
-# net, negative for a bright one, 0 where both phases look alike.
-
-
 Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
-
-SHARE = 0.4  # just below where the phases of a Gaussian field span it, so that S varies most
-_WIDTH = 1024  # texels across at which patterns are compared
-_BANDS = ((2.0, 8.0), (4.0, 16.0))  # standard deviations of two Gaussian blurs, texels
-_WINDOW, _STEP = 192, 160  # texels
-_LEAST_VALID = 0.9  # valid share of a window
-
-
-def connectivity(pictures: tuple[Picture, Picture], valid: TexelMask) -> tuple[float, float] | None:
-    """Connectivity of log luminance (H, W) of a photograph and its re-rendering.
-
-    Medians over windows, in the band that differs most; None if the picture is too small.
-    """
-    rows, columns = valid.shape
-    shrink = max(1.0, columns / _WIDTH)
-    size = (round(columns / shrink), round(rows / shrink))
-    before, after, seen = (
-        area_averaged(one, size) for one in (*pictures, valid.astype(np.float32))
-    )
-    places = [
-        (slice(y, y + _WINDOW), slice(x, x + _WINDOW))
-        for y in range(0, size[1] - _WINDOW + 1, _STEP)
-        for x in range(0, size[0] - _WINDOW + 1, _STEP)
-    ]
-    places = [place for place in places if seen[place].mean() > _LEAST_VALID]
-    if not places:
-        return None
-    medians = []
-    for deviations in _BANDS:
-        bands = [band_passed(one, *deviations) for one in (before, after)]
-        each = np.array([[_of_window(band[place]) for band in bands] for place in places])
-        middle = float(np.median(each[:, 0]))
-        # Both of a pair have the same light, so their difference has the smaller scatter.
-        medians.append((middle, middle + float(np.median(each[:, 1] - each[:, 0]))))
-    return max(medians, key=lambda pair: abs(pair[1] - pair[0]))
-
-
-def _of_window(band: Picture) -> float:
-    """log(S_dark / S_bright) of a window."""
-    dark, bright = (_mean_cluster_size(side <= np.quantile(side, SHARE)) for side in (band, -band))
-    return float(np.log(dark / bright))
-
-
-def _mean_cluster_size(phase: TexelMask) -> float:
-    _, _, stats, _ = cv2.connectedComponentsWithStats(phase.astype(np.uint8), connectivity=4)
-    sizes = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
-    return float(np.square(sizes).sum() / sizes.sum())
-
-
-# Measured differences between a photograph and its re-rendering: light, highlight, texture.
-#
-# Read next: judge.py, which rates them.
-
 
 # Filters and windows of the comparison; docs/notes/verdict.md.
 _CELLS = 64  # cells across the low-pass filtered pictures
@@ -146,9 +79,6 @@ class Measurements:
     """By band and region: root-mean-square log luminance of the texture."""
     order: tuple[float, float] | None
     """Autocorrelation at a lag of one period, at most 1; None without a lattice."""
-    connectivity: tuple[float, float] | None = None
-    """log(mean cluster size of dark texels over bright ones) (measurements.py); None if the picture
-    is too small."""
     exemplar: ExemplarMeasurements = ExemplarMeasurements()
     """Measurements on the exemplar itself."""
     causes: Mapping[str, float] = field(default_factory=dict)
@@ -186,6 +116,8 @@ def measure_capture(
     limit = photo.headroom
     pictures = np.minimum(rectified, limit), np.minimum(rerendered, limit)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
+    tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
+    developed = not (photo.radiometric or photo.floating)
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
     inside = valid | (rectified > FULL * limit).any(axis=2)
@@ -198,33 +130,31 @@ def measure_capture(
         colour=colour,
         light=light,
         texture=texture_difference(plane, rendering),
-        contrast=texture_contrasts(*pictures, developed=not (photo.radiometric or photo.floating)),
+        contrast=texture_contrasts(pictures[0], tiles, developed=developed),
         order=_order(plane, rendering, waves) if waves else None,
-        connectivity=connectivity(
-            (_log_luminance(pictures[0])[0], _log_luminance(pictures[1])[0]), valid
-        ),
         exemplar=exemplar,
-        causes=measure_causes(photo, smooth, pictures, highlights, exemplar),
+        causes=measure_causes(smooth, pictures, highlights, exemplar),
         regions={
             name: upright_region(photo, region)
-            for name, region in _regions(pictures, highlights).items()
+            for name, region in _regions(rectified.shape, tiles, highlights).items()
         },
     )
 
 
 def _regions(
-    pictures: tuple[Picture, Picture], highlights: tuple[Highlight | None, Highlight | None]
+    shape: tuple[int, ...],
+    tiles: tuple[dict[str, Picture], dict[str, Picture]],
+    highlights: tuple[Highlight | None, Highlight | None],
 ) -> dict[str, Region]:
     """Squares around the highlight, and around the tile whose contrast differs most."""
-    before, after = (_tile_contrasts(picture)["coarse"] for picture in pictures)
+    before, after = (each["coarse"] for each in tiles)
     differs = np.abs(np.log((after + UNSEEN**2) / (before + UNSEEN**2)))
     rows, columns = differs.shape
     row, column = divmod(int(differs.argmax()), columns)
     regions = {"texture": (column / columns, row / rows, 1.0 / columns, 1.0 / rows)}
     seen = highlights[0] or highlights[1]
     if seen is not None:
-        height, width = pictures[0].shape[:2]
-        half, up = max(seen.width, _LEAST_MARK), height / width
+        half, up = max(seen.width, _LEAST_MARK), shape[0] / shape[1]
         x, y = seen.centre
         regions["highlight"] = (
             (1.0 + x - half) / 2.0,
@@ -257,9 +187,14 @@ def smooth_difference(
 
 
 def texture_contrasts(
-    seen: Picture, again: Picture, *, developed: bool = False
+    seen: Picture,
+    tiles: tuple[dict[str, Picture], dict[str, Picture]],
+    *,
+    developed: bool = False,
 ) -> dict[str, tuple[float, float]]:
     """Root-mean-square contrast of log luminance, and of colour, in two linear pictures (H, W, 3).
+
+    `seen` is the photograph, `tiles` are of it and of its re-rendering (tile_contrasts).
 
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
     relief) and the others. Medians over tiles, robust to the gradient of a highlight. Colour of a
@@ -269,14 +204,13 @@ def texture_contrasts(
     light = cell_means(channel_mean(seen), _TILES)
     bright = np.zeros(light.shape, bool)
     bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
-    before, after = (_tile_contrasts(picture) for picture in (seen, again))
+    before, after = tiles
     if developed:
         noise = _code_variance(cell_means(seen, _TILES), _log_luminance(seen)[1])
-        for tiles in (before, after):
-            tiles["coloured"] = tiles["coloured"] + noise
+        before, after = (each | {"coloured": each["coloured"] + noise} for each in tiles)
 
-    def of(tiles: Picture, region: NDArray[np.bool_]) -> float:
-        return math.sqrt(float(np.median(tiles[region])))
+    def of(tile: Picture, region: NDArray[np.bool_]) -> float:
+        return math.sqrt(float(np.median(tile[region])))
 
     return {
         f"{band} texture {where}": (of(before[band], region), of(after[band], region))
@@ -285,7 +219,7 @@ def texture_contrasts(
     }
 
 
-def _tile_contrasts(picture: Picture) -> dict[str, Picture]:
+def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     log, floor = _log_luminance(picture)
     bands = {"fine": _FINE, "coarse": _COARSE_BAND}

@@ -29,6 +29,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS
@@ -39,10 +40,9 @@ from matcap.flash.coarse.problem import (
     WEIGHT_BETWEEN,
     WHITE,
     HighlightMeasurements,
-    Hypothesis,
     Problem,
     TiltPrior,
-    hypothesis,
+    priors,
 )
 from matcap.flash.diffuse_share import ACROSS, DiffuseShare, measure_diffuse_share, undeveloped
 from matcap.flash.geometry import FlashSetup
@@ -94,8 +94,6 @@ class CoarseFit(Uniform):
     """Whether metal or dielectric was given, not measured."""
     tilt_prior: TiltPrior | None = None
     """Measurement of the tilt given as a prior, if any."""
-    picture_tilt: tuple[float, float] | None = None
-    """(tilt_x, tilt_y) fitted without that prior, radians; None without one."""
     tone: ToneCurve = ToneCurve()
     """The picture's tone curve; the identity where it has none."""
     level_deviation: float | None = None
@@ -127,18 +125,17 @@ def fit_coarse(
     highlight = find_highlight(light_of(photo.pixels))
     coarse, fine = (cells_of(photo, highlight, *grid) for grid in _GRIDS)
     share = diffuse_share_of(photo, highlight)
-    dielectric, metal = (
-        _fitted_coarsely(
-            photo, coarse, highlight, hypothesis(photo, tilt, tilt_prior, conductor=conductor)
-        )
-        for conductor in (False, True)
-    )
-    chosen, dielectric_cost, _ = _fitted(photo, fine, share, dielectric)
+    problems = [
+        _problem(photo, coarse, highlight, priors(photo, tilt, tilt_prior, conductor=metal), metal)
+        for metal in (False, True)
+    ]
+    dielectric, metal = (_minima(problem, highlight, tilt) for problem in problems)
+    chosen, dielectric_cost, _ = _fitted(photo, replace(problems[0], cells=fine), share, dielectric)
     crushed = float((photo.pixels.max(-1) < _CRUSHED).mean())
     undecided = known_metal is None and (photo.radiometric or crushed <= _MOST_CRUSHED)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
-    if known_metal or (undecided and metal.least_cost <= dielectric.least_cost):
-        conductor, cost, nat = _fitted(photo, fine, share, metal)
+    if known_metal or (undecided and metal[0][0] <= dielectric[0][0]):
+        conductor, cost, nat = _fitted(photo, replace(problems[1], cells=fine), share, metal)
         red, _, blue = conductor.diffuse
         is_metal = (
             dielectric_cost - cost > _CONDUCTOR_ODDS * nat
@@ -148,23 +145,6 @@ def fit_coarse(
         )
         chosen = conductor if is_metal or known_metal else chosen
     return replace(chosen, tilt_prior=tilt_prior, by_hand=known_metal is not None)
-
-
-@dataclass(frozen=True)
-class _CoarselyFitted:
-    """A hypothesis fitted on coarse cells from every starting point."""
-
-    prior: Hypothesis
-    """The hypothesis."""
-    problem: Problem
-    """Problem on coarse cells."""
-    minima: list[tuple[float, Tensor]]
-    """(cost, parameters), the least cost first."""
-
-    @property
-    def least_cost(self) -> float:
-        """Of all minima."""
-        return self.minima[0][0]
 
 
 def diffuse_share_of(photo: Photo, highlight: Highlight | None) -> DiffuseShare | None:
@@ -187,38 +167,49 @@ def diffuse_share_of(photo: Photo, highlight: Highlight | None) -> DiffuseShare 
     )
 
 
-def _fitted_coarsely(
-    photo: Photo, cells: CoarseCells, highlight: Highlight | None, prior: Hypothesis
-) -> _CoarselyFitted:
-    """Fit a hypothesis on coarse cells."""
+def _problem(
+    photo: Photo,
+    cells: CoarseCells,
+    highlight: Highlight | None,
+    prior: tuple[Unknowns, Unknowns],
+    conductor: bool,
+) -> Problem:
+    """The problem of a photograph's coarse cells; the prior is (mean, standard deviation)."""
+    mean, deviation = prior
     unit = _PRIOR_SHARE * HUBER**2
-    problem = Problem(
+    measured = None if highlight is None else HighlightMeasurements(highlight, photo.headroom)
+    return Problem(
         cells=cells,
         distance=FlashSetup(fov=photo.fov).distance,
-        measurements=None
-        if highlight is None
-        else HighlightMeasurements(highlight, headroom=photo.headroom),
-        diffuse_share=None,
-        prior=prior.mean.vector(),
-        precision=unit * prior.precision,
+        measurements=measured,
+        prior=mean.vector(),
+        precision=unit * torch.diag(deviation.vector().pow(-2)),
         unit=unit,
         shoulder=photo.development.shoulder if photo.tone_mapped else None,
-        conductor=prior.conductor,
+        conductor=conductor,
     )
-    initial = starts(cells.observed, prior, highlight, problem.distance)
+
+
+def _minima(
+    problem: Problem, highlight: Highlight | None, tilt: tuple[float, float] | None
+) -> list[tuple[float, Tensor]]:
+    """(cost, parameters) from every starting point, the least cost first."""
+    initial = starts(problem, highlight, tilt_known=tilt is not None)
     minima = [problem.minimised(start, _FEW) for start in initial]
-    return _CoarselyFitted(prior, problem, sorted(minima, key=lambda candidate: candidate[0]))
+    return sorted(minima, key=lambda candidate: candidate[0])
 
 
 def _fitted(
     photo: Photo,
-    cells: CoarseCells,
+    last: Problem,
     diffuse_share: DiffuseShare | None,
-    coarse: _CoarselyFitted,
+    minima: Sequence[tuple[float, Tensor]],
 ) -> tuple[CoarseFit, float, float]:
-    """The most probable fit on fine cells, its cost, and the cost of a nat of the prior."""
-    prior, last = coarse.prior, replace(coarse.problem, cells=cells)
-    initial = [parameters for _, parameters in coarse.minima]
+    """The most probable fit on fine cells, its cost, and the cost of a nat of the prior.
+
+    `minima` are (cost, parameters) on coarse cells, the least cost first.
+    """
+    initial = [parameters for _, parameters in minima]
     if photo.radiometric:
         last = last.whitened(initial[0]).with_estimated_noise(initial[0])
     if diffuse_share is not None:
@@ -226,19 +217,13 @@ def _fitted(
         last = replace(last, diffuse_share=diffuse_share.under(Unknowns.of(initial[0]).flash.exp()))
     best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
-    picture_tilt = None
-    if prior.tilt_alone is not None:
-        without = last.with_tilt(*prior.tilt_alone)
-        tilt_x, tilt_y = Unknowns.of(without.minimised(best, _FEW)[1]).tilt.tolist()
-        picture_tilt = (tilt_x, tilt_y)
     exponent = math.exp(float(Unknowns.of(best).tone))
     fit = CoarseFit(
-        *_uniform(Unknowns.of(best), photo.fov, conductor=prior.conductor),
+        *_uniform(Unknowns.of(best), photo.fov, conductor=last.conductor),
         residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
-        conductor=prior.conductor,
-        picture_tilt=picture_tilt,
+        conductor=last.conductor,
         tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
-        level_deviation=None if prior.conductor else last.level_deviation(best),
+        level_deviation=None if last.conductor else last.level_deviation(best),
     )
     return fit, last.cost(best), last.unit
 
@@ -305,16 +290,14 @@ def rescale_to_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     )
 
 
-def starts(
-    observed: Tensor, prior: Hypothesis, highlight: Highlight | None, distance: float
-) -> Iterable[Tensor]:
+def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -> Iterable[Tensor]:
     """Starting points whose brightness and colour already fit the photograph's median.
 
     Radiance there is about albedo / pi intensity / distance^2; a conductor's is darker, away from
     its highlight.
     """
-    mean = prior.mean
-    median = observed.median(dim=1).values
+    mean, distance = Unknowns.of(problem.prior), problem.distance
+    median = problem.cells.observed.median(dim=1).values
     brightness = median.mean()
     intensity = brightness - mean.albedo[:1] + math.log(math.pi) + 2.0
     logits, places = list(_STARTS), [mean]
@@ -328,14 +311,14 @@ def starts(
         across, up = u + distance * math.tan(tilt_y), v - distance * math.tan(tilt_x)
         shifted = replace(mean, offset=numbers(2.0 * across, 2.0 * up))
         turned = replace(mean, tilt=numbers(v / distance, -u / distance))
-        places = [shifted] if prior.tilt_known else [shifted, turned]
+        places = [shifted] if tilt_known else [shifted, turned]
     for place in places:
         for logit in logits:
             yield replace(
                 place,
                 albedo=mean.albedo + (median - brightness),
                 roughness=numbers(logit),
-                intensity=intensity + (1.5 if prior.conductor else 0.0),
+                intensity=intensity + (1.5 if problem.conductor else 0.0),
             ).vector()
 
 

@@ -90,30 +90,14 @@ class TiltPrior:
         return measured * numbers(*self.mean) / precision, precision.rsqrt()
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """Gaussian prior of the unknowns, and whether they are a conductor's."""
-
-    mean: Unknowns
-    """Mean of the prior."""
-    precision: Tensor
-    """(17, 17) inverse covariance."""
-    conductor: bool
-    """Whether `albedo` is F0 and nothing is diffuse."""
-    tilt_known: bool
-    """Whether the tilt is held."""
-    tilt_alone: tuple[Tensor, Tensor] | None
-    """Mean and deviation of the tilt without a measurement of it; None without one."""
-
-
-def hypothesis(
+def priors(
     photo: Photo,
     tilt: tuple[float, float] | None,
     tilt_prior: TiltPrior | None,
     *,
     conductor: bool,
-) -> Hypothesis:
-    """The prior of a photograph's parameters; arguments as of fit_coarse."""
+) -> tuple[Unknowns, Unknowns]:
+    """Mean and standard deviation of a photograph's parameters; arguments as of fit_coarse."""
     mean = replace(_MEAN, tone=numbers(photo.development.log_exponent))
     deviation = replace(_DEVIATION, tone=numbers(photo.development.deviation))
     if conductor:
@@ -124,16 +108,13 @@ def hypothesis(
         deviation = replace(deviation, flash_colour=numbers(_FIXED, _FIXED))
     if photo.radiometric:
         deviation = replace(deviation, tilt=numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC))
-    alone = None
     if tilt is not None:
         mean = replace(mean, tilt=numbers(*tilt))
         deviation = replace(deviation, tilt=numbers(_FIXED, _FIXED))
     elif tilt_prior is not None:
-        alone = (mean.tilt, deviation.tilt)
         place, std = tilt_prior.posterior
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
-    precision = torch.diag(deviation.vector().pow(-2))
-    return Hypothesis(mean, precision, conductor, tilt is not None, alone)
+    return mean, deviation
 
 
 # The coarse fit's cost, its normal equations, and its minimisation.
@@ -181,9 +162,9 @@ class HighlightMeasurements:
     """
 
     highlight: Highlight
-    weight: float = WEIGHT
     headroom: float = 1.0
     """Radiance at which the photograph clips."""
+    weight: float = WEIGHT
 
     @cached_property
     def image(self) -> Tensor:
@@ -234,14 +215,14 @@ class Problem:
     """Distance of the camera."""
     measurements: HighlightMeasurements | None
     """Measurements of the highlight, or None."""
-    diffuse_share: DiffuseRings | None
-    """Colour scatter of the texture by ring, or None."""
     prior: Tensor
     """(n,) the prior's mean."""
     precision: Tensor
     """(n, n) Hessian of the prior's cost."""
     unit: float
     """Cost of a nat of the prior."""
+    diffuse_share: DiffuseRings | None = None
+    """Colour scatter of the texture by ring, or None."""
     shoulder: float | None = None
     """Shoulder of the tone curve; None without one."""
     whitening: Tensor | None = None
@@ -282,14 +263,6 @@ class Problem:
         variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
         nat = float(variance) / _CELLS_THAT_COUNT
         return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
-
-    def with_tilt(self, mean: Tensor, std: Tensor) -> Problem:
-        """The problem with another Gaussian prior of the tilt, (2,) each."""
-        precision = self.precision.clone()
-        precision[INDEX.tilt, INDEX.tilt] = self.unit * std.pow(-2)
-        return replace(
-            self, prior=replace(Unknowns.of(self.prior), tilt=mean).vector(), precision=precision
-        )
 
     @cached_property
     def weight(self) -> Tensor:

@@ -92,7 +92,7 @@ def _piece(found: ExemplarEstimate, seed: int) -> list[torch.Tensor]:
     area = Rectangle(0, 0, _FIELD, _FIELD)
     fields = [found.example.varied(variety).maps(seed, area, None) for variety in _VARIETIES]
     values = found.relief_spectrum
-    numbers = [] if values is None else [values.albedo, values.slope, values.significance]
+    numbers = [] if values is None else [values.albedo, values.slope, values.deviation]
     return [torch.from_numpy(array) for array in (found.exemplar.stacked(), *fields, *numbers)]
 
 

@@ -6,17 +6,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import torch
 import torch.nn.functional as F
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from matcap.brdf.cook_torrance import SurfaceParameters
+from matcap.brdf.cook_torrance import ALBEDO, SurfaceParameters
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors
@@ -32,15 +32,6 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 # features of the decoder (FiLM [perez2018]).
 
 
-# Number of channels of each input, in order.
-_INPUT_CHANNELS = {
-    "log": 3, "valid": 1, "tangent": 2, "slope_sensitivity": 2,
-    "roughness_sensitivity": 1, "gloss": 1, "uniform": 3, "relief": 2,
-}  # fmt: skip
-_DOUBTED = {"albedo": 1, "specular": 1, "roughness": 1, "slope": 1}
-INPUTS, ERRORS = sum(_INPUT_CHANNELS.values()), len(_DOUBTED)
-OUTPUTS = sum(CHANNELS.values())
-ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
 _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
@@ -69,9 +60,27 @@ class InverseConfig:
         return 2 ** len(self.widths)
 
 
+class _NamedPlanes:
+    """Planes of a tensor by name, (..., C, H, W) each."""
+
+    channels: ClassVar[tuple[int, ...]]
+    """C of each, in order."""
+
+    def stacked(self) -> Tensor:
+        """All planes concatenated, (..., sum of C, H, W)."""
+        return torch.cat(list(vars(self).values()), dim=-3)
+
+    @classmethod
+    def from_stacked(cls, stacked: Tensor) -> Self:
+        """The inverse of stacked()."""
+        return cls(*stacked.split(cls.channels, dim=-3))
+
+
 @dataclass(frozen=True)
-class NetworkInputs:
-    """Inputs of the network, (..., C, H, W) each (inputs.py)."""
+class NetworkInputs(_NamedPlanes):
+    """Inputs of the network."""
+
+    channels = (3, 1, 2, 2, 1, 1, 3, 2)
 
     log: Tensor
     """Log radiance over the uniform material's, 3 channels."""
@@ -90,19 +99,12 @@ class NetworkInputs:
     relief: Tensor
     """First-order estimate of the slope along x and y from log radiance."""
 
-    def stacked(self) -> Tensor:
-        """All inputs concatenated, (..., INPUTS, H, W)."""
-        return torch.cat([getattr(self, name) for name in _INPUT_CHANNELS], dim=-3)
-
-    @staticmethod
-    def from_stacked(stacked: Tensor) -> NetworkInputs:
-        """The inverse of stacked()."""
-        return NetworkInputs(*stacked.split(list(_INPUT_CHANNELS.values()), dim=-3))
-
 
 @dataclass(frozen=True)
-class ExpectedErrors:
-    """Logarithms of the expected absolute errors of a prediction, (..., 1, H, W) each."""
+class ExpectedErrors(_NamedPlanes):
+    """Logarithms of the expected absolute errors of a prediction."""
+
+    channels = (1, 1, 1, 1)
 
     albedo: Tensor
     """Log of the error of log albedo."""
@@ -113,14 +115,10 @@ class ExpectedErrors:
     slope: Tensor
     """Log of the error of slopes."""
 
-    def stacked(self) -> Tensor:
-        """All errors concatenated, (..., ERRORS, H, W)."""
-        return torch.cat([getattr(self, name) for name in _DOUBTED], dim=-3)
 
-    @staticmethod
-    def from_stacked(stacked: Tensor) -> ExpectedErrors:
-        """The inverse of stacked()."""
-        return ExpectedErrors(*stacked.split(list(_DOUBTED.values()), dim=-3))
+INPUTS, ERRORS = sum(NetworkInputs.channels), sum(ExpectedErrors.channels)
+OUTPUTS = sum(CHANNELS.values())
+ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
 
 
 @dataclass(frozen=True)
@@ -141,11 +139,6 @@ class NetworkAnswer:
         return NetworkAnswer(
             SurfaceParameters.from_stacked(residuals), ExpectedErrors.from_stacked(errors), metal
         )
-
-    def stacked(self) -> Tensor:
-        """The inverse of from_stacked()."""
-        parts = [self.residuals.stacked(), self.errors.stacked(), self.metal]
-        return torch.cat(parts, dim=-3)
 
 
 class Inverse(nn.Module):
@@ -198,37 +191,38 @@ class Inverse(nn.Module):
         """
         parts = NetworkInputs.from_stacked(inputs)
         weights = _weightings(parts)
-        x = self.stem(F.pixel_unshuffle(inputs, 2))
+        x = F.conv2d(inputs, _of_texels(self.stem.weight), self.stem.bias, stride=2, padding=2)
         levels, context = [], 0.0
         for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
             if index:
                 x = F.avg_pool2d(x, 2)
+            weights = F.avg_pool2d(weights, 2)
             x = block(x)
             levels.append(x)
-            context = context + pooled(_means(x, F.avg_pool2d(weights, 2 ** (index + 1))))
+            context = context + pooled(_means(x, weights))
         context = self.context(context)
         height: Tensor | None = None
         for index in reversed(range(len(levels) - 1)):
-            x = F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
-            x = self.merge[index](torch.cat([levels[index], x], dim=1))
+            # A 1 x 1 convolution of the level and of what is enlarged; enlarged after it.
+            merge, width = self.merge[index], self.config.widths[index]
+            assert isinstance(merge, nn.Conv2d)
+            coarser = _doubled(F.conv2d(x, merge.weight[:, width:], merge.bias))
+            x = F.conv2d(levels[index], merge.weight[:, :width]).add_(coarser)
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
-            x = self.up[index](x * (1.0 + scale) + shift)
+            x = self.up[index](torch.addcmul(shift, x, 1.0 + scale))
             # Heights are proportional to the wavelength at equal slope.
             here = self.heights[index](x) * 2.0**index
-            if height is not None:
-                here = here + F.interpolate(
-                    height, scale_factor=2.0, mode="bilinear", align_corners=False
-                )
-            height = here
+            height = here if height is None else here + _doubled(height)
         assert height is not None
-        fine = F.pixel_shuffle(self.head(x), 2)
-        fine = F.leaky_relu(self.fine(torch.cat([fine, inputs], dim=1)), _SLOPE)
-        answer = NetworkAnswer.from_stacked(self.out(fine))
-        coarse = F.interpolate(height, scale_factor=2.0, mode="bilinear", align_corners=False)
+        # A convolution of features and inputs, without a copy of both side by side.
+        weight, features = self.fine.weight, F.pixel_shuffle(self.head(x), 2)
+        fine = F.conv2d(features, weight[:, :-INPUTS], self.fine.bias, padding=1)
+        fine = fine.add_(F.conv2d(inputs, weight[:, -INPUTS:], padding=1))
+        answer = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
         # Albedo is predicted relative to the photograph's log radiance over the uniform material.
-        first = answer.residuals
-        residuals = replace(first, diffuse=first.diffuse + parts.log, height=first.height + coarse)
-        return replace(answer, residuals=residuals).stacked()
+        answer[:, ALBEDO] += parts.log
+        answer[:, OUTPUTS - 1 : OUTPUTS] += _doubled(height)
+        return answer
 
 
 class _ResidualBlock(nn.Module):
@@ -245,9 +239,20 @@ class _ResidualBlock(nn.Module):
             self.second.weight.mul_(0.3)
 
     def forward(self, x: Tensor) -> Tensor:
-        y = self.first(F.leaky_relu(self.before(x), _SLOPE))
-        y = self.second(F.leaky_relu(self.between(y), _SLOPE))
-        return self.shortcut(x) + y
+        y = self.first(F.leaky_relu(self.before(x), _SLOPE, inplace=True))
+        y = self.second(F.leaky_relu(self.between(y), _SLOPE, inplace=True))
+        return y.add_(self.shortcut(x))
+
+
+def _doubled(planes: Tensor) -> Tensor:
+    """(B, C, 2 H, 2 W) bilinear enlargement."""
+    return F.interpolate(planes, scale_factor=2.0, mode="bilinear", align_corners=False)
+
+
+def _of_texels(weight: Tensor) -> Tensor:
+    """(O, C, 6, 6) weight on texels, of stride 2, of a weight (O, 4 C, 3, 3) on 2 x 2 of them."""
+    count = weight.shape[1] // 4
+    return weight.unflatten(1, (count, 2, 2)).permute(0, 1, 4, 2, 5, 3).reshape(-1, count, 6, 6)
 
 
 def _weightings(parts: NetworkInputs) -> Tensor:
