@@ -246,9 +246,9 @@ def _outstanding(candidates: list[Candidates], known: NDArray[np.bool_]) -> NDAr
     if not known.any():
         return np.zeros_like(known)
     for one in candidates[1:]:
-        distances = one.distances.astype(np.float32)
-        distances = cv2.resize(distances, known.shape[::-1], interpolation=cv2.INTER_AREA)
-        rarity = np.maximum(rarity, distances / (np.median(distances[known]) + _ALIKE))
+        squares = one.distances.astype(np.float32)
+        thin = np.asarray(cv2.resize(squares, known.shape[::-1], interpolation=cv2.INTER_AREA))
+        rarity = np.maximum(rarity, thin / np.float32(np.median(thin[known]) + _ALIKE))
     least = max(_OUTSTANDING, float(np.quantile(rarity[known], 1.0 - _SMALL)))
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     return np.asarray(cv2.dilate((rarity > least).astype(np.uint8), cross) > 0)
