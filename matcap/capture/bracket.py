@@ -284,7 +284,7 @@ class Bracket:
         # Of the logarithm of light, by the curve's slope d log x / d log y = 1 / (c (1 - w y)).
         slope = 1.0 / (curve.exponent * np.maximum(1.0 - curve.shoulder * values, 0.05))
         relative = variance * np.square(slope / values)
-        relative += np.float32(_NEAR_CLIPPED**2) * view.near_clipped[..., None]
+        relative = relative + np.float32(_NEAR_CLIPPED**2) * view.near_clipped[..., None]
         low, high = (share * min(photo.headroom, 1e30) for share in _FADES)
         fade = np.clip((high - values.max(axis=2)) / (high - low), 0.0, 1.0)[..., None]
         fade = fade * np.square(np.maximum(view.pixels / view.faintest, 0.03).clip(max=1.0))

@@ -57,7 +57,7 @@ _LEAST_TEXELS = 8  # likewise, texels
 _FINENESS = 16  # least number of places along the shorter side of a lattice's patch
 # Difference from the most similar place over the median from which on a place stands out, and the
 # largest share of such places: others belong to the material.
-_OUTSTANDING, _SMALL = 7.0, 0.05
+_OUTSTANDING, _SMALL = 7.0, 0.03
 _ALIKE = 64.0  # squared difference of appearance that is not visible: one feature by two of UNIT
 _LEAST_TRUST = 0.02  # added to a map's confidence before the logarithm
 _TRUSTED = 0.8  # quantile of the confidence that places are compared with
