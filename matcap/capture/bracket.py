@@ -66,6 +66,7 @@ _FEWEST_LIT = 200  # pixels that both measure
 _BRIGHTEST = 0.9  # of the clip level, above which values are not compared
 _FADES = (0.8, FULL)  # of the clip level: weight falls to 0 between these
 _SPREAD = 1.5  # pixels, standard deviation of the blur of clipping
+_NEAR_CLIPPED = 0.5  # relative error of light that it reaches
 _DEVIATES = 0.25  # log light; larger local differences are motion or misregistration
 _LOCAL = 2.0  # pixels, standard deviation of their averages
 _GLINT = 0.3  # light, of the longest exposure's white, from which on what moved is a glint
@@ -138,10 +139,12 @@ class _Aligned:
     """The photograph itself."""
     pixels: Picture
     """(H, W, 3) its values, resampled."""
-    usable: NDArray[np.bool_]
-    """(H, W, 3) inside of it and not clipped."""
     inside: NDArray[np.bool_]
     """(H, W) inside of it."""
+    clipped: NDArray[np.bool_]
+    """(H, W)."""
+    near_clipped: NDArray[np.bool_]
+    """(H, W) clipped, or reached by the blur of what is."""
     noise: Picture | None
     """(H, W, 3) its noise, resampled."""
     way: float = 0.0
@@ -197,7 +200,8 @@ class Bracket:
         order = np.argsort(self.factors, kind="stable").tolist()
         worst = 0.0
         for one, other in zip(order, order[1:], strict=False):
-            both = (self.views[one].usable & self.views[other].usable).all(axis=2)
+            pair = self.views[one], self.views[other]
+            both = np.logical_and(*(view.inside & ~view.near_clipped for view in pair))
             first, second = (
                 cv2.GaussianBlur(self.light(k).mean(axis=2), (0, 0), _NOISY)[both]
                 for k in (one, other)
@@ -220,14 +224,14 @@ class Bracket:
             view, light = self.views[number], self.light(number)
             weight = self._weight(number)
             if number != longest_first[0]:
-                moved = _moved(light, total, weights)
+                moved = _moved(light, total, weights, self.factors[number] * view.faintest)
                 around = np.ones((2 * view.glint_reach + 1,) * 2, np.uint8)
                 bright = np.maximum(light, total / np.maximum(weights, 1e-30)).max(axis=2) > _GLINT
                 glint = moved & bright & (cv2.dilate(clips.astype(np.uint8), around) > 0)
                 weight = weight * ~(moved & ~glint)[..., None]
                 for each in (total, weights, noise):
                     each[glint & view.inside] = 0.0
-            clips |= view.inside & ~view.usable.all(axis=2)
+            clips |= view.inside & view.near_clipped
             bound = np.where(view.inside[..., None], np.maximum(bound, light), bound)
             total += weight * light
             weights += weight
@@ -265,11 +269,11 @@ class Bracket:
         return (f"A bracket, merged with {', '.join(others)}.", *own)
 
     def _weight(self, number: int) -> Picture:
-        """(H, W, 3) inverse variance of a photograph's light over the light squared, faded out
-        towards its clip level.
+        """(H, W, 3) inverse variance of a photograph's light, faded out towards its clip level and
+        below its faintest value, which may be 0 whatever the light.
         """
         view, curve = self.views[number], self.curves[number]
-        photo, values = view.photo, np.maximum(view.pixels, np.float32(1e-6))
+        photo, values = view.photo, np.maximum(view.pixels, np.float32(view.faintest))
         if view.noise is not None:
             variance = cv2.GaussianBlur(np.square(view.noise), (0, 0), _NOISE_AROUND)
         else:
@@ -280,15 +284,19 @@ class Bracket:
         # Of the logarithm of light, by the curve's slope d log x / d log y = 1 / (c (1 - w y)).
         slope = 1.0 / (curve.exponent * np.maximum(1.0 - curve.shoulder * values, 0.05))
         relative = variance * np.square(slope / values)
+        relative = relative + np.float32(_NEAR_CLIPPED**2) * view.near_clipped[..., None]
         low, high = (share * min(photo.headroom, 1e30) for share in _FADES)
         fade = np.clip((high - values.max(axis=2)) / (high - low), 0.0, 1.0)[..., None]
-        weight = fade / (relative * np.square(self.light(number)) + np.float32(1e-12))
-        return np.asarray(np.where(view.usable, weight, 0.0), np.float32)
+        fade = fade * np.square(np.maximum(view.pixels / view.faintest, 0.03).clip(max=1.0))
+        light = np.float32(self.factors[number]) * curve.linear(values)
+        weight = fade / (relative * np.square(light) + np.float32(1e-12))
+        known = view.inside & ~view.clipped
+        return np.asarray(np.where(known[..., None], weight, 0.0), np.float32)
 
 
-def _moved(light: Picture, total: Picture, weights: Picture) -> NDArray[np.bool_]:
-    """(H, W) where light disagrees with what longer exposures measure."""
-    both = (weights > 0.0) & (light > 0.0)
+def _moved(light: Picture, total: Picture, weights: Picture, faintest: float) -> NDArray[np.bool_]:
+    """(H, W) where light above the faintest disagrees with what longer exposures measure."""
+    both = (weights > 0.0) & (light > faintest)
     known = np.maximum(total, 1e-6) / np.maximum(weights, 1e-30)
     ratio = np.where(both, np.log(np.maximum(light, 1e-6)) - np.log(np.maximum(known, 1e-6)), 0.0)
     around, of = (
@@ -487,9 +495,9 @@ def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
 
 
 def _itself(photo: Photo) -> _Aligned:
-    usable = ~_spread_clipping(photo)[..., None].repeat(3, 2)
+    inside = np.ones(photo.clipped.shape, np.bool_)
     return _Aligned(
-        photo, photo.pixels, usable, np.ones(photo.clipped.shape, np.bool_), photo.noise
+        photo, photo.pixels, inside, photo.clipped, _spread_clipping(photo) > 0.05, photo.noise
     )
 
 
@@ -510,18 +518,17 @@ def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...]) -> _Ali
         )
 
     pixels = np.maximum(seen(photo.pixels, cv2.INTER_CUBIC), 0.0)
-    clipped = seen(_spread_clipping(photo).astype(np.float32), cv2.INTER_LINEAR) > 0.01
+    clipped = seen(photo.clipped.astype(np.float32), cv2.INTER_LINEAR) > 0.01
+    near_clipped = clipped | (seen(_spread_clipping(photo), cv2.INTER_LINEAR) > 0.05)
     inside = seen(np.ones(photo.clipped.shape, np.float32), cv2.INTER_LINEAR, cv2.BORDER_CONSTANT)
-    within = inside > 0.99
-    usable = ~clipped & within
     noise = None if photo.noise is None else seen(photo.noise, cv2.INTER_CUBIC)
-    return _Aligned(photo, pixels, usable[..., None].repeat(3, 2), within, noise)
+    return _Aligned(photo, pixels, inside > 0.99, clipped, near_clipped, noise)
 
 
-def _spread_clipping(photo: Photo) -> NDArray[np.bool_]:
-    """(H, W) clipped pixels and those that their blur reaches."""
-    blurred = cv2.GaussianBlur(photo.clipped.astype(np.float32), (0, 0), _SPREAD)
-    return np.asarray(blurred > 0.05)
+def _spread_clipping(photo: Photo) -> Picture:
+    """(H, W) share of clipped pixels in the blur around each."""
+    clipped = photo.clipped.astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(clipped, (0, 0), _SPREAD), np.float32)
 
 
 def _ratio(brighter: _Aligned, darker: _Aligned, curve: ToneCurve | None) -> ExposureRatio | None:

@@ -249,6 +249,8 @@ class Candidates:
     """(H, W) coordinate of the candidates, grid steps."""
     columns: NDArray[np.int32]
     """(H, W) coordinate of the candidates, grid steps."""
+    distances: NDArray[np.int32]
+    """(H, W) squared difference of appearance."""
 
 
 def find_candidates(
@@ -307,7 +309,7 @@ def find_candidates(
             for y, x in _NEIGHBOURS:
                 rows, columns = (np.roll(one, (y, x), (0, 1)) for one in (best_rows, best_columns))
                 attempt(rows + np.int32(y), columns + np.int32(x))
-    return Candidates(best_rows, best_columns)
+    return Candidates(best_rows, best_columns, best)
 
 
 def _ordered(numbers: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -55,13 +55,10 @@ from matcap.example.placement import RULE, Placement, trend_penalty
 _NEAREST_STEPS = 4  # least distance between a place and its candidate, grid steps
 _LEAST_TEXELS = 8  # likewise, texels
 _FINENESS = 16  # least number of places along the shorter side of a lattice's patch
-# Median absolute deviations of a band of brightness from which places stand out (of a Gaussian, 4
-# standard deviations), and the bands' octaves of squares of 4 x 4 texels.
-_OUTSTANDING, _OCTAVES = 6.0, (1, 2, 3, 4)
-# Most such regions of a band, and their largest share: others belong to the material (specks of a
-# glaze are 15, rivets 25, stains 1 to 7, the dark edge of a tile 8 %).
-_FEW, _SMALL = 8, 0.1
-_INVISIBLE = 3e-4  # added to the median absolute deviation, square root of albedo
+# Difference from the most similar place over the median from which on a place stands out, and the
+# largest share of such places: others belong to the material.
+_OUTSTANDING, _SMALL = 7.0, 0.03
+_ALIKE = 64.0  # squared difference of appearance that is not visible: one feature by two of UNIT
 _LEAST_TRUST = 0.02  # added to a map's confidence before the logarithm
 _TRUSTED = 0.8  # quantile of the confidence that places are compared with
 _SLACK = 0.05  # confidence below that quantile without a penalty
@@ -193,10 +190,11 @@ def build_index(
         bases = list(pool.map(choose_basis, grids, steps))
         appearances = list(pool.map(project, grids, bases))
         candidates = list(pool.map(partial(_similar, shown), range(count), appearances))
-    outstanding = _outstanding(planes[:3].mean(axis=0))
-    penalty = np.maximum(_low_confidence(exemplar), _MOST * outstanding)
+    penalty = _low_confidence(exemplar)
     if one_light:
         penalty = np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
+    outstanding = _outstanding(candidates, penalty < _KNOWN)
+    penalty = np.maximum(penalty, _MOST * outstanding)
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
         for level, one in enumerate(candidates)
@@ -231,27 +229,29 @@ def _similar(part: Frame, level: int, appearance: Appearance) -> Candidates:
     return find_candidates(some, max(_NEAREST_STEPS, _LEAST_TEXELS >> bits), allowed)
 
 
-def _outstanding(brightness: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Places of stains: few regions much brighter or darker than the rest, at any scale.
+def _outstanding(candidates: list[Candidates], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Places like no other: marks that the eye finds again wherever they recur, and stains.
 
-    Band b_k = G(2^k) * B - G(2^(k + 1)) * B of the square root B of albedo (plus F0 where it has a
-    colour), averaged over squares; places where |b_k - median| > _OUTSTANDING median absolute
-    deviations, if they are at most _FEW connected regions and a share of _SMALL. (rows, columns)
-    on the grid of placement costs.
+    Their squared difference of appearance from their candidate is at some level more than
+    _OUTSTANDING times the median, and among the largest _SMALL. (rows, columns) on the grid of
+    placement costs.
+
+    Args:
+        candidates: of all levels.
+        known: (rows, columns) squares that may be shown at all.
     """
     import cv2  # takes a tenth of a second, which synthesis is spared
 
-    means = _square_means(brightness).astype(np.float32)
-    blurred = {k: cv2.GaussianBlur(means, (0, 0), 2.0**k) for k in (*_OCTAVES, _OCTAVES[-1] + 1)}
-    stains = np.zeros(means.shape, np.bool_)
-    for k in _OCTAVES:
-        band = blurred[k] - blurred[k + 1]
-        distance = np.abs(band - np.median(band))
-        far = distance > _OUTSTANDING * (np.median(distance) + _INVISIBLE)
-        regions = cv2.connectedComponents(far.astype(np.uint8))[0] - 1
-        if regions <= _FEW and far.mean() <= _SMALL:
-            stains |= far
-    return stains
+    rarity = np.zeros(known.shape, np.float32)
+    if not known.any():
+        return np.zeros_like(known)
+    for one in candidates[1:]:
+        squares = one.distances.astype(np.float32)
+        thin = np.asarray(cv2.resize(squares, known.shape[::-1], interpolation=cv2.INTER_AREA))
+        rarity = np.maximum(rarity, thin / np.float32(np.median(thin[known]) + _ALIKE))
+    least = max(_OUTSTANDING, float(np.quantile(rarity[known], 1.0 - _SMALL)))
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    return np.asarray(cv2.dilate((rarity > least).astype(np.uint8), cross) > 0)
 
 
 def _square_means(plane: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -141,6 +141,15 @@ def test_an_unknown_exposure_is_measured():
     assert not merged.clipped[20:-20, 20:-20].any()
 
 
+def test_what_the_short_exposure_stores_as_black_is_the_long_ones():
+    """A value of 0 has no relative error: it must not weigh more than what is measured."""
+    light = scene(peak=20.0)
+    photos = [taken(light), taken(moved(light)[0], 1 / 64, seed=2)]
+    assert (photos[1].pixels == 0.0).mean() > 0.01
+    merged = merge_bracket(photos)
+    assert (merged.pixels > 0.3 * light)[20:-20, 20:-20].mean() > 0.999
+
+
 def test_moved_parts_are_left_out():
     light = scene(peak=2.0)
     other = moved(light)[0].copy()

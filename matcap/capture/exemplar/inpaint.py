@@ -25,7 +25,6 @@ from matcap.brdf.cook_torrance import Reflectance
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
-from matcap.example.straighten import least_cut
 from matcap.field.source import one_thread
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
@@ -54,7 +53,6 @@ _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbour
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _PLAIN = 0.5  # variance to which that of both sides of an overlap is added
-_CUT = 0.25  # cost of a texel of a cut's length, as a squared standardised difference
 _SEAM_REACH = _BLOCK / 2.0  # texels over which the two sides of a seam converge
 _TOLERANCE = 1e-3  # norm of the residual over that at the start, at which the iterations end
 
@@ -181,7 +179,7 @@ def transport(
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
     chosen = _choose(places, donors, planes, ~hidden, photograph)
-    source, copied = _sources(chosen, hidden, planes.features)
+    source, copied = _sources(chosen, hidden)
     slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
     blended = composed(_blended_scale(planes.high_passed, texel), source, copied, _SEAM_REACH)
@@ -355,56 +353,22 @@ def _discontinuity(
 
 
 def _sources(
-    chosen: dict[tuple[int, int], tuple[int, int]], hidden: TexelMask, features: Floats
+    chosen: dict[tuple[int, int], tuple[int, int]], hidden: TexelMask
 ) -> tuple[BlockPlaces, TexelMask]:
     """(2, H, W) source row and column of each texel, and (H, W) bool, which are copied.
 
-    An overlap is divided where both blocks' features (H, W, C) differ least.
+    A texel is copied from the block whose centre is nearest.
     """
-    source, copied = np.indices(hidden.shape), np.zeros(hidden.shape, np.bool_)
-    before: dict[tuple[int, int], tuple[int, int]] = {}
+    source, nearest = np.indices(hidden.shape), np.full(hidden.shape, np.inf)
+    distance = np.abs(np.indices((_BLOCK, _BLOCK)) - 0.5 * (_BLOCK - 1)).max(axis=0)
     for place, donor in chosen.items():
-        here, own = _block(place), np.ones((_BLOCK, _BLOCK), np.bool_)
-        for other, others in before.items():
-            own &= _kept_of(place, donor, other, others, features)
-        own = hidden[here] & (own | ~copied[here])
+        here = _block(place)
+        own = hidden[here] & (distance < nearest[here])
         moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
         texel = np.indices(hidden.shape)[:, *here]
         source[:, *here] = np.where(own, texel + moved, source[:, *here])
-        copied[here] |= own
-        before[place] = donor
-    return source, copied
-
-
-def _kept_of(
-    place: tuple[int, int],
-    donor: tuple[int, int],
-    other: tuple[int, int],
-    others: tuple[int, int],
-    features: Floats,
-) -> TexelMask | bool:
-    """Texels that a block keeps beside an earlier one in its row or column of blocks [kwatra2003].
-
-    Args:
-        place, donor: corners of the block, and of what is copied to it.
-        other, others: likewise of the earlier block.
-        features: (H, W, C) by which they are compared.
-    """
-    down, right = other[0] - place[0], other[1] - place[1]
-    shift = down + right
-    wide = _BLOCK - abs(shift)
-    if (down and right) or wide < 2:
-        return True
-    mine, theirs = features[_block(donor)], features[_block(others)]
-    if down:
-        mine, theirs = mine.swapaxes(0, 1), theirs.swapaxes(0, 1)
-    if shift > 0:  # mirrored, so that the earlier one lies to the left
-        mine, theirs = mine[:, ::-1], theirs[:, ::-1]
-    difference = np.square(mine[:, :wide] - theirs[:, -wide:]).sum(-1)
-    first, _ = least_cut(difference, _CUT, closed=False)
-    kept = np.arange(_BLOCK) >= first[:, None]
-    kept = kept[:, ::-1] if shift > 0 else kept
-    return kept.T if down else kept
+        nearest[here] = np.where(own, distance, nearest[here])
+    return source, np.isfinite(nearest)
 
 
 def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:

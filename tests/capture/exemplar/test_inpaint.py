@@ -12,7 +12,6 @@ from photographed import SETUP, Photographed, photographed
 
 from matcap.capture.exemplar.inpaint import (
     Copies,
-    _kept_of,
     composed,
     inpainted,
     remaining_highlight,
@@ -305,30 +304,6 @@ def test_blocks_leave_no_steps_in_roughness(shot: Photographed) -> None:
     steps = max(np.abs(np.diff(filled, axis=axis)).max() for axis in (0, 1))
     assert np.abs(filled - exemplar.roughness[0]).max() > 0.01
     assert steps < 0.03
-
-
-@pytest.mark.parametrize(("down", "right"), [(0, 36), (0, -36), (36, 0), (-36, 0)])
-def test_blocks_are_cut_where_they_are_alike(down: int, right: int) -> None:
-    """Two blocks differ in all of their overlap but along a wave."""
-    wave = 5 + np.rint(3.0 * np.sin(np.arange(48) / 5.0)).astype(int)
-    wave += 36 if down + right > 0 else 0
-    columns = np.arange(48)
-    like = (columns == wave[:, None]) | (columns == wave[:, None] - 1)
-    ours = columns < wave[:, None] if down + right > 0 else columns >= wave[:, None]
-    drawn = np.random.default_rng(3).standard_normal((48, 48, 1)).astype(np.float32)
-    features = np.zeros((48, 200, 1), np.float32)
-    features[:, :48] = drawn
-    features[:, 84:132] = np.where((like.T if down else like)[..., None], drawn, drawn + 9.0)
-    if down:
-        features = np.concatenate([np.zeros_like(features), features, np.zeros_like(features)])
-    kept = _kept_of(
-        (60, 60),
-        (48 * bool(down), 0),
-        (60 + down, 60 + right),
-        (48 * bool(down) + down, 84 + right),
-        features,
-    )
-    assert np.array_equal(kept, ours.T if down else ours)
 
 
 # Copied texels meet without steps, and keep what they draw.
