@@ -1,8 +1,8 @@
 """preview.png: one sheet for visual inspection of a capture.
 
-The material's block: panels (photograph, re-rendering, another light, maps) and a row of crops at
-one pixel per texel. The exemplar's block: the same of the photographed rectangle, with crops at the
-same place. Of several photographs: a diagram of cameras and flashes, and a block of the whole
+The material's block: panels (photograph, re-rendering, light from two sides, maps) and a row of
+crops at one pixel per texel. The same panels of the decoder's material, if there are two, and of
+the photographed rectangle, with crops at the same place. Of several photographs: a diagram of cameras and flashes, and a block of the whole
 exemplar if it extends beyond the first photograph; and each photograph's prediction by the others.
 """
 
@@ -199,16 +199,11 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
     photograph = _developed("photograph", result, result.rectified)
     yield replace(photograph, hidden=_hidden(result), marked=marked)
     yield replace(_developed("re-rendered", result, result.rerendered), marked=marked)
-    yield relit("top", result.maps, result.rerendered, result.material.setup)
-    yield from each_map(result.maps)
-    yield Panel("normal", _picture(result.maps, "normal"), lambda some: 0.5 + 0.5 * some)
+    yield from lit_panels(result.maps, result.rerendered, result.material.setup)
 
 
 def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
-    """Panels of an exemplar: photograph, re-rendering, light from two sides, maps without normals.
-
-    The normals are the height's gradient; the renderings show them.
-    """
+    """Panels of an exemplar, as panels()."""
     from matcap.capture.exemplar.estimate import map_set_of
 
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
@@ -222,7 +217,7 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
 
 
 def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
-    """Panels of the decoder's field beside that by example: as panels(), less the photograph."""
+    """Panels of the decoder's field beside that by example, as panels()."""
     import torch
 
     from matcap.flash.light import render_rectified
@@ -230,6 +225,8 @@ def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
 
     with torch.inference_mode():
         rerendered = picture_of(render_rectified(maps, result.material.setup))
+    photograph = _developed("photograph", result, result.rectified)
+    yield replace(photograph, hidden=_hidden(result))
     yield _developed("re-rendered", result, rerendered)
     yield from lit_panels(maps, rerendered, result.material.setup)
 
@@ -241,7 +238,10 @@ def _hidden(result: CaptureResult) -> NDArray[np.bool_] | None:
 
 
 def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:
-    """Panels of maps under light from two sides (relit), and of each map."""
+    """Panels of maps under light from two sides (relit), and of each map.
+
+    Normals are the height's gradient: the light from two sides shows them.
+    """
     for side in _LIGHTS:
         yield relit(side, maps, rerendered, setup)
     yield from each_map(maps)

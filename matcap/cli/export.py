@@ -38,9 +38,8 @@ def export(
         str | None,
         typer.Option(
             metavar="TARGET",
-            help="materialx, usd, gltf, blender or mitsuba; or a preset, loose textures named and "
-            "packed as polyhaven, ambientcg, raw, unreal, unity-hdrp, unity-urp, godot, "
-            "gltf-textures or substance.",
+            help="materialx, usd, gltf, blender, mitsuba, or textures named and packed for unreal, "
+            "unity-hdrp, unity-urp, godot, substance, polyhaven, ambientcg, gltf-textures or raw.",
         ),
     ] = None,
     out: Annotated[
@@ -74,7 +73,7 @@ def export(
     if target in DOCUMENTS:
         refuse_options(
             {"--normal": options.normal},
-            f"only presets have this option, and {target} is a scene format",
+            f"only textures alone have this option, and {target} has a document",
             "leave it out",
         )
     read, area = chosen(ReadOptions, reading), chosen(ExportArea, of)

@@ -38,8 +38,8 @@ class ExportOptions(CheckedSettings):
 
     maps: Sequence[str] = ()
     """Textures of a preset to write, by their names in its table; empty is all."""
-    normal: NormalMaps | None = setting(None, words=("gl", "dx", "both"), otherwise="the preset's")
-    """Normals of a preset: +Y up (gl), down (dx), or a file of each (both)."""
+    normal: NormalMaps | None = setting(None, words=("gl", "dx", "both"), otherwise="the target's")
+    """Normals of textures: +Y up (gl), down (dx), or a file of each (both)."""
     bits: Depth | None = setting(None, words=("8", "16", "half", "float"), otherwise="the target's")
     """Depth of all textures: PNG of 8 or 16 bits, EXR of half or float."""
     workflow: Workflow | None = setting(

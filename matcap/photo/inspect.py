@@ -25,6 +25,9 @@ Values = NDArray[np.float64]
 
 # Constants of the measures; docs/notes/verdict.md. Limits are in checks.py.
 _TOE = 0.02  # added inside logarithms, as a share of the median
+# Share of a pixel's brightness added to its channels before hues: the darkest channel of a
+# saturated JPEG is rounding, of which hues of their own would be made.
+_GREY = 0.03
 _HOT_CELLS = 128  # cells across in which the hot spot is searched
 _HOT_BLUR = 0.08  # standard deviation of the blur before the maximum is taken, share of the width
 # Standard deviation of the Gaussian window of the paraboloid's fit around the hot spot, share of
@@ -160,7 +163,8 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
         pixels: (H, W, 3) linear.
         place: of the hot spot, from hot_spot.
     """
-    light, colour = _log(channel_mean(pixels)), _log(pixels)
+    mean = channel_mean(pixels)
+    light, colour = _log(mean), _log(pixels + _GREY * mean[..., None])
     width = light.shape[1]
     fine, middle = (blurred(light, width / s) for s in (128.0, 32.0))
     measures = [

@@ -90,7 +90,7 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
         (
             ["--to", "usd", "--normal", "dx"],
             2,
-            "--normal: only presets have this option, and usd is a scene format; leave it out.",
+            "--normal: only textures alone have this option, and usd has a document; leave it out.",
         ),
         (
             ["--to", "usd", "--bits", "half"],

@@ -194,6 +194,17 @@ def test_two_materials_in_one_picture_are_not_uniform(shots):
     assert half.value > 2.0 * whole.value
 
 
+def test_the_darkest_channel_of_a_saturated_jpeg_makes_no_parts():
+    """Green of a deep blue is cut off at zero in places of no meaning."""
+    light = grey(0.03, falloff=3.0)
+    patches = cv2.GaussianBlur(np.random.default_rng(3).normal(size=(192, 256, 1)), (0, 0), 16.0)
+    green = np.maximum(0.003 * patches / patches.std(), 0.0)[..., None]
+    blue = light * np.concatenate([np.full_like(green, 0.02), green, np.full_like(green, 0.3)], 2)
+    found = inspect_photo(photo_of(blue))
+    assert found["subject"].rating is Rating.GOOD
+    assert found["stationarity"].rating is Rating.GOOD
+
+
 def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, capsys):
     write_shot(tmp_path / "a.dng", shots["leather", 0], 1, shading=0.4)
     (tmp_path / "b.jpg").write_bytes(b"\xff\xd8\xff nothing")
