@@ -2,8 +2,9 @@
 
 The material's block: panels (photograph, re-rendering, light from two sides, maps) and a row of
 crops at one pixel per texel. The same panels of the decoder's material, if there are two, and of
-the photographed rectangle, with crops at the same place. Of several photographs: a diagram of cameras and flashes, and a block of the whole
-exemplar if it extends beyond the first photograph; and each photograph's prediction by the others.
+the photographed rectangle, with crops at the same place. Of several photographs: a diagram of
+cameras and flashes, and a block of the whole exemplar if it extends beyond the first photograph;
+and each photograph's prediction by the others.
 """
 
 from __future__ import annotations
