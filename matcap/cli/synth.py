@@ -80,10 +80,10 @@ def synth(
     from matcap.synth.stream import synthesise, unfinished_bytes
 
     keep_memory()  # this process is matcap's own
-    targets = exported.get("targets", ())
-    if targets and given.get("udim"):
+    targets, textures = exported.get("targets", ()), exported.get("maps")
+    if (targets or textures) and given.get("udim"):
         raise UsageError.at(
-            "--export",
+            "--export" if targets else "--maps",
             "a texture set cannot be exported",
             "leave out --udim",
         )
@@ -122,9 +122,11 @@ def synth(
     except KeyboardInterrupt:
         typer.echo("matcap: interrupted; the same command with --resume continues.", err=True)
         raise typer.Exit(ExitCode.INTERRUPTED) from None
+    if targets or textures:
+        from matcap.export.targets import engine_maps, export_mapset
+    if textures:
+        export_mapset(document, "substance", engine_maps(textures, asked.normal), "maps")
     for target in targets:
-        from matcap.export.targets import export_mapset
-
         for note in export_mapset(document, target).notes:
             say(f"note: {target}: {note}")
     say(f"wrote {document}")

@@ -129,6 +129,14 @@ def test_synth_exports_too(matcap, material, tmp_path):
     assert not (tmp_path / "other").exists()
 
 
+def test_synth_writes_the_textures_of_engines(material, matcap, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    area = ("--size", "32x32", "-o", "set")
+    matcap("synth", material, *area, "--maps", "png", "--normal", "dx")
+    assert len([*(tmp_path / "set" / "maps").glob("*.png")]) == 6
+    assert len([*(tmp_path / "set" / "maps").glob("*_normal_dx.png")]) == 1
+
+
 def test_capture_exports_too(matcap, pipeline, photo, tmp_path):
     said = matcap(
         "capture", photo, "-o", tmp_path / "out", "--size", "32", "--export", "gltf",
