@@ -57,7 +57,7 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     rectified = Rectified.of(photo.linearised(coarse.tone), coarse, max(photo.pixels.shape))
 
     observed, predicted = prior(Observation.of(rectified.network_input, coarse))
-    spectrum = measured_spectrum(observed, predicted)
+    spectrum = measured_spectrum(observed)
     predicted = scaled_to_spectrum(observed, predicted, spectrum)
     observed, predicted = classified(observed, predicted)  # dielectric, metal, or both
     predicted = refine_maps(observed, predicted, spectrum)  # until they re-render to it

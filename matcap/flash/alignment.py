@@ -154,9 +154,11 @@ def _periodograms(windows: Grey, blur: float) -> Grey:
     """Of windows, blurred, with frequency 0 in the middle."""
     taper = np.hanning(windows.shape[-1]).astype(np.float32)
     windows = (windows - windows.mean(axis=(1, 2), keepdims=True)) * np.outer(taper, taper)
-    spectrum = torch.fft.fftshift(torch.fft.fft2(torch.from_numpy(windows)), dim=(1, 2))
-    power = torch.view_as_real(spectrum).square().sum(-1).numpy()
-    power = np.stack([cv2.GaussianBlur(each, (0, 0), blur) for each in power])
+    half = torch.fft.rfft2(torch.from_numpy(windows))
+    half_power = half.real.square() + half.imag.square()
+    opposite = half_power[:, :, 1:-1].flip(1, 2).roll(1, 1)  # -k of the others
+    whole = torch.fft.fftshift(torch.cat([half_power, opposite], 2), dim=(1, 2)).numpy()
+    power = np.stack([cv2.GaussianBlur(each, (0, 0), blur) for each in whole])
     return np.asarray(power + (1e-4 * power.mean() + 1e-12), np.float32)
 
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import CHANNELS, MapSet
@@ -187,7 +186,7 @@ def refined(
     with clock.stage("network"):
         observed, prediction = predict_maps(Observation.of(plane, coarse), network)
     with clock.stage("relief spectrum"):
-        spectrum = measured_spectrum(observed, prediction)
+        spectrum = measured_spectrum(observed)
         observed, prediction = classified(
             observed, scaled_to_spectrum(observed, prediction, spectrum)
         )
@@ -244,19 +243,13 @@ def _shown(kept: TexelMask) -> Frame | None:
     return Frame(columns.start, rows.start, columns.stop - 1, rows.stop - 1)
 
 
-def measured_spectrum(
-    observed: Observation, prediction: NetworkPrediction | None = None
-) -> ReliefSpectrum | None:
+def measured_spectrum(observed: Observation) -> ReliefSpectrum | None:
     """Relief and albedo energies measured in the photograph; None if too few texels are valid.
 
     The sensitivity to slope is the coarse fit's, which is nearer to the truth than that of the
-    predicted maps (docs/notes/capture.md); the difference of both adds to the deviation: bare
-    metal between rust has three times the sensitivity of both together.
+    predicted maps (docs/notes/capture.md).
     """
-    other, plane, use = None, observed.plane, observed.plane.measured.numpy()
-    if prediction is not None:
-        maps = observed.light.maps(prediction.residuals)
-        other = _even(observed.light.slope_sensitivity(maps))
+    plane, use = observed.plane, observed.plane.measured.numpy()
     # Interpolate clipped texels, to no less than the clipped value.
     channels = zip(observed.inputs.log.numpy(), use, strict=True)
     whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
@@ -264,17 +257,11 @@ def measured_spectrum(
     variance = (weights * observed.noise).square().sum(0)[plane.valid]
     return measure_relief_spectrum(
         np.asarray((weights.numpy() * whole).sum(0), np.float32),
-        _even(observed.inputs.slope_sensitivity),
+        np.stack([smoothed(s, RESPONSE_AROUND) for s in observed.inputs.slope_sensitivity.numpy()]),
         use.mean(0, dtype=np.float32),
         float(variance.mean().sqrt()) if variance.numel() else 0.0,
         matte=(1.0 - observed.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
-        other_sensitivity=other,
     )
-
-
-def _even(sensitivity: Tensor) -> NDArray[np.float32]:
-    """Smoothed sensitivity (2, H, W)."""
-    return np.stack([smoothed(s, RESPONSE_AROUND) for s in sensitivity.numpy()])
 
 
 def scaled_to_spectrum(

@@ -128,7 +128,7 @@ class _MapPlanes:
     high_passed: Floats
     """(6, H, W) these maps with height high-passed, as low frequencies are not copied."""
     features: Floats
-    """(H, W, 3) channel mean of log albedo, and slopes (x, down), each over its deviation."""
+    """(3, H, W) channel mean of log albedo, and slopes (x, down), each over its deviation."""
 
 
 @one_thread()
@@ -308,8 +308,8 @@ def _choose(
             source = place
         else:
             chosen[place] = source
-        here = _block(place)
-        seen[here] = np.where(known[here][..., None], seen[here], planes.features[_block(source)])
+        here, there = _block(place), _block(source)
+        seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
         known[here] = True
     return chosen
 
@@ -343,12 +343,11 @@ def _discontinuity(
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
-    wide = donor.shape[1]
-    texels = blocks[:, :1] * wide + blocks[:, 1:] + (rows * wide + columns)
-    copied = np.take(donor.reshape(-1, donor.shape[2]), texels, axis=0)
-    shown = seen[place[0] + rows, place[1] + columns]
-    difference = np.minimum(np.square(copied - shown), np.float32(_FARTHEST)).mean((1, 2))
-    variance = copied.var(axis=1).mean(-1) + shown.var(axis=0).mean()
+    texels = (blocks[:, :1] + rows) * donor.shape[2] + blocks[:, 1:] + columns
+    copied = np.take(donor.reshape(len(donor), -1), texels, axis=1)
+    shown = seen[:, None, place[0] + rows, place[1] + columns]
+    variance = copied.var(axis=-1).mean(0) + shown.var(axis=-1).mean()
+    difference = np.minimum(np.square(copied - shown), np.float32(_FARTHEST)).mean((0, 2))
     return np.asarray(difference / (variance + _PLAIN), np.float32)
 
 
@@ -382,7 +381,7 @@ def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:
     lightness = np.log(exemplar.diffuse.clip(1e-3)).mean(0)
     steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
     lightness /= lightness[known].std() + 1e-3
-    features = np.stack([lightness, across / steep, down / steep], axis=-1)
+    features = np.stack([lightness, across / steep, down / steep])
     return _MapPlanes(stacked, high_passed, features.astype(np.float32))
 
 

@@ -166,8 +166,7 @@ def _ramp(octave: ChannelPlane) -> ChannelPlane:
 # factor of the window common to all directions: specular radiance dilutes albedo, dark gaps most,
 # and lenses are soft towards the corners. At the mirror point both m and s are small, so m = 1
 # would mistake albedo for relief. As relief shows along the light only, a weighted regression over
-# windows and directions recovers A, S and the standard error of S, to which the difference between
-# two estimates of g is added (docs/notes/capture.md).
+# windows and directions recovers A, S and the standard error of S.
 
 
 # Measurement and use of the relief spectrum; docs/notes/capture.md. NSD is the normalised style
@@ -252,7 +251,6 @@ def measure_relief_spectrum(
     noise: float = 0.0,
     *,
     matte: NDArray[np.float32] | None = None,
-    other_sensitivity: NDArray[np.float32] | None = None,
 ) -> ReliefSpectrum | None:
     """Measure the energies of a photograph; None if too few windows are visible.
 
@@ -262,8 +260,6 @@ def measure_relief_spectrum(
         use: (H, W) share of a texel that is visible and not clipped.
         noise: standard deviation of log radiance due to the sensor.
         matte: (H, W) diffuse share of the radiance; None for 1.
-        other_sensitivity: (2, H, W) another estimate of `sensitivity`: the difference of their
-            results adds to the standard deviation.
     """
     whole = _windows(log.shape)
     seen = _seen(use, whole)
@@ -277,17 +273,10 @@ def measure_relief_spectrum(
     energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
     albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
-    disagreement = 0.0
-    if other_sensitivity is not None:
-        disagreement = np.abs(
-            slope - _regressed(energy, _responses(matte, other_sensitivity, use, cuts))[1]
-        ).sum(1)
-    # Standard errors of directions are independent; model errors have one sign in all of them.
-    deviation = np.hypot(np.sqrt(np.square(error).sum(1)), disagreement)
     return ReliefSpectrum(
         albedo=np.sqrt(albedo),
         slope=np.sqrt(slope),
-        deviation=deviation,
+        deviation=np.sqrt(np.square(error).sum(1)),
     )
 
 

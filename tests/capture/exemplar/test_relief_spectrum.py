@@ -94,20 +94,6 @@ def test_clipped_sparkles_leave_the_spectrum_unchanged(least: float) -> None:
     assert _along_x(found)[0] == pytest.approx(whole, rel=0.2)
 
 
-def test_disagreeing_sensitivities_add_to_the_deviation() -> None:
-    shot = photographed(0.2, 0.1)
-    valid = torch.ones(shot.linear.shape[-2:], dtype=torch.bool)
-    inputs = network_inputs(shot.linear, valid, shot.uniform, shot.points)
-    log, shows = inputs.log.mean(0).numpy(), inputs.slope_sensitivity.numpy()
-    alone, alike, apart = (
-        measure_relief_spectrum(log, shows, valid.numpy(), other_sensitivity=other).deviation
-        for other in (None, shows, 1.5 * shows)
-    )
-    assert np.allclose(alike, alone)
-    strongest = np.argmax(apart - alone)
-    assert apart[strongest] > 1.5 * alone[strongest]
-
-
 def test_streaks_stronger_at_the_rim_are_within_the_deviation() -> None:
     """Albedo of one direction whose contrast grows by a tenth: what is told is within its doubt.
 
