@@ -46,9 +46,10 @@ _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
 # A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
-# median and a share above _VISIBLE_SHARE is visible: a scratch, or bare metal that only the
-# highlight shows.
-_MOST_ENERGY, _VISIBLE_SHARE = 2.0, 0.5
+# median, a share above _VISIBLE_SHARE is visible, and its maps render _OWN_ENERGY of it: a scratch,
+# or bare metal that only the highlight shows. Maps with too flat relief do not: in a highlight
+# measured above white granite's have 0.2 of it, leather's 0.4 to 0.67, a scratch's 0.77 and more.
+_MOST_ENERGY, _VISIBLE_SHARE, _OWN_ENERGY = 2.0, 0.5, 0.7
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
@@ -213,13 +214,16 @@ class _Match:
     """(N,) mismatch of log radiance (transport); 0 without valid texels."""
     energy_ratio: float
     """Energy of the photographed log radiance over the median of random candidates."""
+    own: float
+    """Energy that the place's own maps render, over that photographed."""
     share: float
     """Share of the place that is visible and not clipped."""
 
     @property
     def is_distinct(self) -> bool:
-        """Whether the photograph has far more contrast than the candidates: scratch, bare metal."""
-        return self.share > _VISIBLE_SHARE and self.energy_ratio > _MOST_ENERGY
+        """Whether photograph and maps have far more contrast than the candidates: a scratch."""
+        more = self.energy_ratio > _MOST_ENERGY and self.own > _OWN_ENERGY
+        return more and self.share > _VISIBLE_SHARE
 
 
 class _Photograph:
@@ -243,6 +247,7 @@ class _Photograph:
 
     def match(self, place: tuple[int, int], blocks: BlockPlaces) -> _Match:
         """Render blocks at a place and compare them with the photograph there."""
+        blocks = np.concatenate([blocks, [place]])
         inner = np.arange(0, _BLOCK, _THINNED)
         rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
         reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
@@ -252,15 +257,16 @@ class _Photograph:
         seen = self._valid[here].to(log)
         share = float(self._valid[_block(place)].float().mean())
         if not seen.any():
-            return _Match(np.zeros(len(blocks), np.float32), 0.0, share)
+            return _Match(np.zeros(len(blocks) - 1, np.float32), 0.0, 0.0, share)
         even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
         a, b = (_detrended(x - even, seen) for x in (log, shown))
         lit, photographed = (x.square().sum((1, 2, 3)) for x in (a, b))
         mismatch = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
         ratio = (lit + 1e-6) / (photographed + 1e-6)
         mismatch += _CONTRAST * ratio.log().abs().clamp_max(2.0)
-        energy_ratio = float(photographed / (lit[len(lit) // 2 :].median() + 1e-6))
-        return _Match(np.asarray(mismatch, np.float32), energy_ratio, share)
+        energy_ratio = float(photographed / (lit[len(lit) // 2 : -1].median() + 1e-6))
+        own = float(lit[-1] / (photographed + 1e-6))
+        return _Match(np.asarray(mismatch[:-1], np.float32), energy_ratio, own, share)
 
 
 def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:

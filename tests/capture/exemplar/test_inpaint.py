@@ -228,6 +228,15 @@ def test_a_scratch_through_the_highlight_is_kept(shot: Photographed) -> None:
     assert whole.diffuse[inside].mean() == pytest.approx(exemplar.diffuse[inside].mean(), rel=0.05)
 
 
+def test_contrast_that_the_own_maps_do_not_render_keeps_nothing(shot: Photographed) -> None:
+    """Glints of relief that is estimated too flat are no scratch; maps of other places go there."""
+    y, x = torch.meshgrid(torch.arange(384), torch.arange(512), indexing="ij")
+    glints = (1.5 * torch.sin(x * 0.9) * torch.sin(y * 0.9)).exp()
+    whole = _lent(replace(shot, linear=shot.linear * glints), _hidden(shot))
+    found = np.log(whole.diffuse)[:, *HOLE].std()
+    assert found == pytest.approx(float(shot.maps.diffuse.log()[:, *HOLE].std()), rel=0.3)
+
+
 def test_a_unique_pattern_is_inpainted_too(shot: Photographed) -> None:
     """No two places of bumps are alike; glare over them must not stay a pale disc for that."""
     bumpy = photographed(0.1, 0.3)
