@@ -81,9 +81,7 @@ def read_head(path: Path) -> bytes:
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except FileNotFoundError as error:
-        raise MatcapError.at(
-            path, "the file is missing (there is no such file)", "check the name"
-        ) from error
+        raise MatcapError.at(path, "there is no such file", "check the name") from error
     except PermissionError as error:
         raise MatcapError.at(path, "the file may not be read", "change its permissions") from error
     except (OSError, ValueError) as error:  # ValueError: a name with a null character

@@ -358,10 +358,7 @@ HUGE = "9" * 23
         (("inspect", "a", "--fov", "nan"), "is not from 1 to 170"),
         (("inspect", "a.matcap", "--together"), "--together: there are no photographs"),
         (("capture", "a.jpg", "--together"), "--together: there is one photograph"),
-        (
-            ("capture", "a.jpg", "--no-drawing"),
-            "--no-drawing: only a decoder has a drawing among its inputs",
-        ),
+        (("capture", "a.jpg", "--no-drawing"), "--no-drawing: only a decoder uses this"),
     ],
 )
 def test_numbers_out_of_range_are_refused_before_any_work(matcap, place, words, said):

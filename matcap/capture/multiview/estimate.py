@@ -124,10 +124,9 @@ def estimate_multiview(
         metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
-    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0])
-    if not done:
-        clock.status = RunStatus.INTERRUPTED
-    return rectified, replace(result, several=report, scale=scale, turned=first.turned)
+    clock.status = clock.status if done else RunStatus.INTERRUPTED
+    result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], report, scale)
+    return rectified, replace(result, turned=first.turned)
 
 
 def _unless_interrupted(otherwise: Result, compute: Callable[[], Result]) -> tuple[Result, bool]:
