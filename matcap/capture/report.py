@@ -41,9 +41,14 @@ PREVIEW, REPORT = "preview.png", "report.json"
 
 
 def files_written(names: Sequence[str]) -> set[str]:
-    """Which of a folder's files, by their `names`, are of a capture or a map set in it."""
-    sets = [Path(name).stem for name in names if name.endswith(".json")]
-    written = {file for name in sets for file in (*mapset_files(name), preview_name(name))}
+    """Which of a folder's files, by `names`, are of a capture, a map set or an export in it."""
+    from matcap.export.targets import TARGETS
+
+    documents = [Path(name).stem for name in names if name.endswith(".json")]
+    written = {file for name in documents for file in (*mapset_files(name), preview_name(name))}
+    for name, _, target in (document.rpartition("_") for document in documents):
+        if target in TARGETS:
+            written |= {file for file in names if file.removeprefix("T_").startswith(f"{name}_")}
     return written | ({PREVIEW} if REPORT in names else set())
 
 

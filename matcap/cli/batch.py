@@ -106,7 +106,7 @@ def _print_results(entries: Sequence[BatchEntry], out: Path, *, as_json: bool, q
         if doubtful:
             more = f" and {len(doubtful) - 8} more" if len(doubtful) > 8 else ""
             names = f"{', '.join(doubtful[:8])}{more}"
-            typer.echo(f"{len(doubtful)} doubtful shots: {names}", err=True)
+            typer.echo(f"{len(doubtful)} doubtful: {names}", err=True)
     failed, left = ([e.reason for e in entries if e.state == state] for state in ("failed", "left"))
     for reason in failed:
         typer.echo(f"matcap: {reason}", err=True)

@@ -29,7 +29,7 @@ def inspect(
         typer.Argument(
             metavar="PHOTO...",
             help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR, a folder of them, "
-            "or a material (.matcap).",
+            "or a material (.matcap or its folder).",
         ),
     ],
     given: Annotated[Given, Fields(InspectSettings)] = NOTHING,
@@ -110,7 +110,7 @@ def inspect(
 
 
 def _files(paths: Sequence[Path]) -> list[Path]:
-    """The paths, folders replaced by the photographs in them.
+    """The paths, folders replaced by their material, or by the photographs in them.
 
     Raises:
         MatcapError: a folder without photographs.
@@ -119,8 +119,13 @@ def _files(paths: Sequence[Path]) -> list[Path]:
 
     files: list[Path] = []
     for path in paths:
-        inside = find_samples(path, group="none") if path.is_dir() else []
-        files += [photo for sample in inside for photo in sample.photos] or [path]
+        if not path.is_dir():
+            files.append(path)
+        elif materials := sorted(path.glob("*.matcap")):
+            files += materials
+        else:
+            samples = find_samples(path, group="none")
+            files += [photo for sample in samples for photo in sample.photos]
     return files
 
 

@@ -222,7 +222,9 @@ def test_pictures_that_matcap_wrote_are_passed_over(tmp_path):
     touch(tmp_path, "strip.json", "strip_preview.png", "strip_normal.png", "sub/preview.png")
     assert names(find_samples(tmp_path)) == ["bark_preview", "oak", "sub-preview"]
     touch(tmp_path, "sub/report.json")
-    assert names(find_samples(tmp_path)) == ["bark_preview", "oak"]
+    touch(tmp_path, "strip/maps/strip_substance.json", "strip/maps/strip_base.jpg")
+    touch(tmp_path, "game/strip_unreal.json", "game/T_strip_ORM.png", "game/strip.png")
+    assert names(find_samples(tmp_path)) == ["bark_preview", "oak", "game-strip"]
 
 
 def test_grouped_by_folder(tmp_path):

@@ -162,8 +162,9 @@ def test_inspect_states_what_is_left_out(tmp_path, capsys):
     for name, example in (("marked", Example.of(marked)), ("bricks", ordered())):
         a_material(name, example=example).save(tmp_path / f"{name}.matcap")
     files = [str(tmp_path / "marked.matcap"), str(tmp_path / "bricks.matcap")]
-    assert main(["inspect", *files, "--json"]) == 0
-    one, other = json.loads(capsys.readouterr().out)["materials"]
+    (tmp_path / "bricks_diffuse.png").write_bytes(b"no photograph")
+    assert main(["inspect", str(tmp_path), "--json"]) == 0
+    other, one = json.loads(capsys.readouterr().out)["materials"]
     assert 0.005 < one["exemplar"]["left_out"] < 0.1 and one["exemplar"]["periods"] == []
     assert one["exemplar"]["size"] == [176, 144]
     assert other["exemplar"]["periods"] == pytest.approx([23.3, 17.1], rel=0.01)
