@@ -124,7 +124,7 @@ def test_pictures_that_are_no_masks_are_refused(tmp_path):
     (tmp_path / "t.png").write_text("no picture")
     with pytest.raises(MatcapError, match="not a readable picture"):
         read_mask(tmp_path / "t.png")
-    with pytest.raises(MatcapError, match="missing"):
+    with pytest.raises(MatcapError, match="there is no such file"):
         read_mask(tmp_path / "none.png")
 
 
