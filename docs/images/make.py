@@ -99,7 +99,7 @@ def page(paths: list[Path]) -> None:
     from matcap.view.subject import open_subject
 
     subject = open_subject(*paths[:2])
-    beside = reference_photograph(paths[0], subject.facts.name, None, subject.first.exemplar)
+    beside = reference_photograph(paths[0], subject.facts.name, None, subject.first)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
     app = make_app(subject, address, Pages, beside)
