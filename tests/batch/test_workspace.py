@@ -68,6 +68,24 @@ def test_an_interrupted_replacement_is_not_done(tmp_path):
     assert not is_done(folder, "i") and (folder / "maps.png").read_text() == "first"
 
 
+def test_a_replacement_that_fails_restores_the_files_and_is_made_again(tmp_path, monkeypatch):
+    folder, replace = make(tmp_path, "a", preview="first", maps="first"), os.replace
+
+    def second_fails(start, end):
+        if Path(end) == folder / "preview.png":
+            monkeypatch.undo()
+            raise OSError(5, "Input/output error")
+        replace(start, end)
+
+    monkeypatch.setattr(os, "replace", second_fails)
+    refused = pytest.raises(MatcapError, match="Input/output")
+    with refused, recorded(folder, {"identity": "2"}), Output(folder).stage() as stage:
+        for name in ("maps.png", "preview.png"):
+            (stage / name).write_text("second")
+    assert [(folder / f"{name}.png").read_text() for name in ("maps", "preview")] == ["first"] * 2
+    assert sorted(os.listdir(folder)) == ["maps.png", "preview.png"] and not is_done(folder, "2")
+
+
 def test_a_file_in_the_place_of_a_folder_is_left_alone(tmp_path):
     (tmp_path / "a").write_text("mine")
     with pytest.raises(OSError):

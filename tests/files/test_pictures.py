@@ -25,7 +25,7 @@ from matcap.files.color import (
     srgb_slope,
 )
 from matcap.files.color import REC709 as COLOR_REC709
-from matcap.files.exr import REC709, read_exr, write_exr
+from matcap.files.exr import REC709, read_exr, write_exr, write_exr_channels
 from matcap.files.pixels import linear_colours, read_mask, read_pixels, write_picture, write_png
 from matcap.photo.load import load_photo
 
@@ -157,10 +157,29 @@ def test_the_same_numbers_give_the_same_file(tmp_path, picture):
     assert filecmp.cmp(tmp_path / "a.exr", tmp_path / "b.exr", shallow=False)
 
 
-def test_values_too_large_for_half_are_refused(tmp_path, picture):
-    picture[3, 4, 1] = 70000.0
-    with pytest.raises(MatcapError, match="too large"):
-        write_exr(tmp_path / "a.exr", picture, half=True)
+@pytest.mark.parametrize(
+    ("value", "sentence"),
+    [
+        (np.nan, "has values that are not finite; make the maps again."),
+        (-np.inf, "has values that are not finite; make the maps again."),
+        (70000.0, "has values too large for half float (65504); scale them down."),
+    ],
+)
+def test_values_without_a_code_are_refused_in_one_sentence(tmp_path, picture, value, sentence):
+    picture[3, 4, 1] = value
+    for write in (
+        lambda: write_exr(tmp_path / "a.exr", picture, half=True),
+        lambda: write_exr_channels(tmp_path / "a.exr", {"Y": picture[..., 1]}),
+    ):
+        with pytest.raises(MatcapError) as refused:
+            write()
+        assert str(refused.value) == f"a.exr: {sentence}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_folder_is_an_error_of_the_system(tmp_path, picture):
+    with pytest.raises(OSError, match="No such file"):
+        write_exr(tmp_path / "none" / "a.exr", picture, half=True)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.99])

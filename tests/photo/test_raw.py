@@ -228,6 +228,11 @@ def test_texture_is_not_taken_for_noise(sensor):
     assert (share > 0.85).all() and (share < 1.6).all()
 
 
+def test_a_noiseless_raw_has_next_to_no_noise():
+    found = find_noise(mosaic(falloff()), LEVELS, WHITE)
+    assert found.shot * 0.2 * RANGE + found.read < 1.0  # rounding alone varies by 1/12
+
+
 def test_added_noise_has_the_variance_of_the_model():
     sensor = SensorNoise(2.0, 30.0)
     for level in (0.0, 0.05, 0.5):
@@ -277,10 +282,31 @@ def test_drawn_noise_has_the_spectrum_of_the_real_noise(tmp_path, long_side):
     assert beside(photo.noise) == pytest.approx(beside(real), abs=0.1)
 
 
+def test_lens_shading_scales_the_noise(tmp_path):
+    light = np.full((384, 512, 3), 0.2)
+    gains = np.ones((2, 2, 1)) * np.array([1.0, 3.0])[None, :, None]
+    opcodes = opcode_list(gain_map(gains, (384, 512)))
+    path = write_dng(tmp_path / "a.dng", noisy(light, numbers_of(2000.0, 3.0)), opcodes2=opcodes)
+    noise = load_photo(path).noise
+    assert noise[:, -40:].std() > 2.0 * noise[:, :40].std()
+
+
+def test_noise_of_a_portrait_is_rotated_with_it(tmp_path):
+    dark_above = np.full((512, 384, 3), 0.3)
+    dark_above[:256] = 0.03
+    samples = noisy(dark_above, numbers_of(500.0, 3.0))
+    photo = load_photo(write_dng(tmp_path / "a.dng", samples))
+    assert photo.turned and photo.noise.shape == photo.pixels.shape
+    dark = photo.pixels.mean(axis=2) < 0.1
+    assert photo.noise[dark].std() < 0.7 * photo.noise[~dark].std()
+
+
 def test_noise_is_not_drawn_unless_wanted_or_where_averaged_out(tmp_path, codes):
     path = write_dng(tmp_path / "a.dng", noisy(falloff(), numbers_of(2000.0, 3.0)))
     assert load_photo(path, noise=False).noise is None
     assert load_photo(path, long_side=1024 // 6).noise is None
+    few = write_dng(tmp_path / "few.dng", noisy(falloff(64, 64), numbers_of(2000.0, 3.0)))
+    assert load_photo(few).noise is None  # too few blocks to tell the sensor's by
     jpeg = tmp_path / "a.jpg"
     cv2.imwrite(str(jpeg), codes)
     assert load_photo(jpeg).noise is None
