@@ -1,16 +1,24 @@
-"""Stages and presets of a capture."""
+"""Stages, generators and presets of a capture."""
 
 import ast
 import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
+import torch
 from report_schema import check_report
 
-from matcap.capture.pipeline import capture_into
+from matcap.brdf.maps import MapSet
+from matcap.capture import both_generators
+from matcap.capture.both_generators import choose
+from matcap.capture.by_decoder import photograph_target
+from matcap.capture.pipeline import capture_into, capture_photo
+from matcap.capture.rectified import Method, Rectified, fit_photograph
+from matcap.capture.report import read_report
 from matcap.capture.settings import (
     BOTH_STAGES,
     DRAWING_STAGES,
@@ -20,15 +28,42 @@ from matcap.capture.settings import (
     CaptureClock,
     CaptureSettings,
     OutputSettings,
+    RunStatus,
     check_photographs,
     resolve,
 )
+from matcap.cli.main import main
 from matcap.errors import UsageError
+from matcap.field.material import Material
+from matcap.photo.load import load_photo
+from matcap.space.prior.store import load_prior
+from matcap.space.tuned import TunedDecoder
+from matcap.statistics.compare import shading
 
 # The capture is one chain of named stages, and the paper's decoder is no part of it.
 
 
 PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
+DETAIL = 160
+SETTINGS = CaptureSettings(detail=DETAIL)
+
+
+@pytest.fixture(scope="module")
+def captured(tmp_path_factory):
+    """Result, folder and progress of a capture by a generator, fine-tuned in a step or two."""
+    real = both_generators.TuneSettings
+
+    @cache
+    def of(generator):
+        folder, lines = tmp_path_factory.mktemp("captured") / "tile", []
+        steps = 2 if generator == "decoder" else None
+        settings = replace(SETTINGS, generator=generator, steps=steps)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(both_generators, "TuneSettings", lambda _, **given: real(1, **given))
+            result = capture_into(folder, [PHOTO], settings, OutputSettings((32, 32)), lines.append)
+        return result, folder, lines
+
+    return of
 
 
 @pytest.mark.capture
@@ -40,24 +75,17 @@ PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
         ("decoder", DRAWING_STAGES, "fine-tuning"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:`torch.jit.script:DeprecationWarning")
-def test_every_stage_has_its_share_and_is_reported_in_order(tmp_path, generator, stages, longest):
+def test_every_stage_has_its_share_and_is_reported_in_order(captured, generator, stages, longest):
     assert sum(stages.values()) == pytest.approx(1.0)
-    lines = []
-    settings = CaptureSettings(detail=160, generator=generator)
-    if generator == "decoder":
-        settings = replace(settings, steps=2)
-    result = capture_into(
-        tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)), lines.append
-    )
+    result, folder, lines = captured(generator)
     assert list(dict.fromkeys(now.stage for now in lines)) == list(stages)
     assert list(result.stage_seconds) == list(stages)
     fractions = [now.fraction for now in lines]
     assert fractions == sorted(fractions) and fractions[-1] == pytest.approx(1.0)
     within = [now for now in lines if now.stage == longest]
     assert longest is None or len(within) >= 4  # begun, every step, done
-    check_report(tmp_path / "tile" / "report.json")
-    report = json.loads((tmp_path / "tile" / "report.json").read_text())
+    check_report(folder / "report.json")
+    report = json.loads((folder / "report.json").read_text())
     assert list(report["stage_seconds"]) == list(stages)[:-1]
     assert (report["tuning"] is None) == (generator == "example")
     draws = report["tuning"] is not None and report["tuning"]["drawing"]
@@ -113,6 +141,71 @@ print(sorted(name for name in sys.modules if name.startswith("matcap.space")))
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
     assert ast.literal_eval(done.stdout.strip().splitlines()[-1]) == []
+
+
+# The decoder beside an exemplar: both in one material, the choice, and what Ctrl-C keeps.
+
+
+@pytest.mark.capture
+def test_a_capture_has_both_generators_its_code_and_a_choice(captured, tmp_path):
+    result, folder, _ = captured(None)
+    material = Material.load(folder / "tile.matcap")
+    assert set(material.generators) == {"example", "decoder"}
+    assert material.part(TunedDecoder).drawing.example is material.generators["example"]
+    report = read_report(folder / "report.json")
+    assert report["generators"]["generator"] == material.made_by == result.choice.generator
+    assert report["effort"]["steps"] > 0 and report["tuning"]["drawing"]
+    prior = load_prior()
+    assert report["latent"]["prior"] == material.latent.prior == prior.digest
+    assert torch.equal(prior.near(material.latent).code, result.material.latent.code)
+    sheet = tmp_path / "like.png"
+    assert main(["sample", "--like", str(folder), "-n", "1", "-o", str(sheet), "-q"]) == 0
+    other = replace(material.latent, prior="0" * 64)
+    replace(material, latent=other).save(tmp_path / "other.matcap")
+    assert main(["sample", "--like", str(tmp_path / "other.matcap"), "-o", str(sheet)]) != 0
+
+
+@pytest.mark.capture
+def test_without_fine_tuning_there_is_an_exemplar_and_a_code(captured):
+    result, _, _ = captured("example")
+    assert set(result.material.generators) == {"example"} and result.choice is None
+    assert result.material.latent is not None and result.effort.steps == 0
+
+
+@pytest.mark.capture
+def test_an_interrupt_keeps_the_material_by_example(monkeypatch):
+    def interrupted(*_args, **_named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(both_generators, "tuned_decoder", interrupted)
+    result = capture_photo(load_photo(PHOTO, long_side=DETAIL), SETTINGS)
+    assert result.status is RunStatus.INTERRUPTED and set(result.material.generators) == {"example"}
+
+
+def test_the_field_that_looks_like_the_photograph_is_chosen():
+    photo = load_photo(PHOTO, long_side=DETAIL)
+    coarse = fit_photograph(photo)
+    rectified = Rectified.of(photo, coarse, DETAIL)
+    target, plane = photograph_target(rectified, Method()), rectified.whole
+    height, width = plane.linear.shape[1:]
+    flat, uniform = torch.ones(1, height, width), torch.tensor(coarse.diffuse)[:, None, None]
+    texture = plane.linear / shading(plane.linear[None])[0].clamp_min(1e-3)
+    albedos = [(uniform * texture).clamp(0.01, 1.0), uniform.expand_as(texture)]
+    one, other = (
+        MapSet(
+            albedo,
+            coarse.specular * flat,
+            coarse.roughness * flat,
+            0.0 * flat,
+            texel_size=plane.texel_size,
+        )
+        for albedo in albedos
+    )
+    assert choose(one, other, target, plane).generator == "example"
+    assert choose(other, one, target, plane).generator == "decoder"
+    finer = other.stacked().repeat_interleave(2, 1).repeat_interleave(2, 2)
+    flat_but_finer = MapSet.from_stacked(finer, other.texel_size / 2.0)
+    assert choose(flat_but_finer, one, target, plane).generator == "example"
 
 
 # Presets: what each spends, and what settings make of it.
