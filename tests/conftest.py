@@ -1,6 +1,8 @@
 """Settings of all tests."""
 
+import hashlib
 import os
+import pickle
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -23,6 +25,24 @@ def two_threads():
     torch.set_num_threads(2)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def one_coarse_fit():
+    """A coarse fit, two seconds, is made once for all captures of the same photograph."""
+    from matcap.capture import rectified
+
+    known, fit_coarse = {}, rectified.fit_coarse
+
+    def fit(*given, **named):
+        asked = hashlib.sha256(pickle.dumps((given, named))).digest()
+        if asked not in known:
+            known[asked] = fit_coarse(*given, **named)
+        return known[asked]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rectified, "fit_coarse", fit)
+        yield
 
 
 @pytest.fixture(autouse=True, scope="session")

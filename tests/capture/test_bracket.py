@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ WIDTH, HEIGHT, FOV = 640, 480, 66.0
 CURVE = ToneCurve(1.3, 0.57)
 
 
+@cache
 def scene(seed: int = 0, peak: float = 8.0) -> np.ndarray:
     """(H, W, 3) float32 light: coloured texture under a flash, its highlight `peak` times white."""
     random = np.random.default_rng(seed)

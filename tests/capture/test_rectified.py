@@ -160,10 +160,8 @@ def photos(tmp_path_factory):
 
 
 @pytest.mark.capture
-@pytest.mark.parametrize("generator", ["example", "decoder"])
-def test_a_capture_uses_the_tilt_of_the_alignment_branch(tmp_path, photos, asked, generator):
-    steps = 1 if generator == "decoder" else None
-    settings = CaptureSettings(preset="draft", steps=steps, detail=160, generator=generator)
+def test_a_capture_uses_the_tilt_of_the_alignment_branch(tmp_path, photos, asked):
+    settings = CaptureSettings(preset="draft", detail=160)
     capture_into(tmp_path / "out", photos[:1], settings, OutputSettings((32, 32)))
     assert asked == [photos[0].name]
     camera = json.loads((tmp_path / "out" / "report.json").read_text())["camera"]
@@ -181,20 +179,30 @@ def test_inspect_uses_the_alignment_branch(photos, asked):
     assert (value["up"], value["right"]) == pytest.approx((9.0, 6.0), abs=0.4)
 
 
-def test_the_shipped_branch_reduces_the_tilt_error():
-    """As RAW. With a sign turned, or the branch not asked, fits are no nearer."""
-    alone, measured = [], []
+@pytest.fixture(scope="module")
+def fitted():
+    """True tilts, and fits without and with the branch, of RAW photographs of a known flash."""
+    found = []
     for name, truth in TILTED:
-        photo = tilted_photo(name, truth)
-        for fit, errors in ((fit_coarse(photo), alone), (fit_photograph(photo), measured)):
-            errors += [abs(a - b) for a, b in zip(fit.setup.tilt, truth, strict=True)]
-    assert sum(measured) < sum(alone)
+        photo = replace(tilted_photo(name, truth), flash_intensity=3.0)
+        found.append((truth, fit_coarse(photo), fit_photograph(photo)))
+    return found
 
 
-def test_without_a_tilt_measurement_the_report_has_none(photos):
-    photo = tilted_photo(*TILTED[0])
-    assert tilt_document(fit_coarse(photo)) is None
-    assert fit_photograph(replace(photo, flash_intensity=3.0)).setup.intensity == (3.0,) * 3
+def test_the_shipped_branch_reduces_the_tilt_error(fitted):
+    """With a sign turned, or the branch not asked, fits are no nearer."""
+    alone, measured = (
+        sum(math.dist(fits[which].setup.tilt, fits[0]) for fits in fitted) for which in (1, 2)
+    )
+    assert measured < alone
+
+
+def test_without_a_tilt_measurement_the_report_has_none(fitted):
+    assert tilt_document(fitted[0][1]) is None
+
+
+def test_a_known_flash_keeps_its_intensity(fitted):
+    assert fitted[0][2].setup.intensity == (3.0,) * 3
 
 
 # A portrait photograph gives portrait maps, upright as it is looked at.
@@ -228,12 +236,13 @@ def photographs(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def captures(photographs):
+def captures(photographs, one_coarse_fit):
     settings = CaptureSettings(preset="draft", detail=192, aligned=True)
     return {name: capture_file(path, settings) for name, path in photographs.items()}
 
 
 @pytest.mark.capture
+@pytest.mark.usefixtures("one_coarse_fit")
 def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_path):
     """Across blocks of the grid, where it repeats too, and read from its file."""
     settings = CaptureSettings(

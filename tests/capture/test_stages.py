@@ -44,12 +44,13 @@ from matcap.statistics.compare import shading
 
 
 PHOTO = Path(__file__).parents[2] / "examples/photos/tile.jpg"
+pytestmark = pytest.mark.usefixtures("one_coarse_fit")
 DETAIL = 160
 SETTINGS = CaptureSettings(detail=DETAIL)
 
 
 @pytest.fixture(scope="module")
-def captured(tmp_path_factory):
+def captured(one_coarse_fit, tmp_path_factory):
     """Result, folder and progress of a capture by a generator, fine-tuned in a step or two."""
     real = both_generators.TuneSettings
 

@@ -22,6 +22,7 @@ def steps(monkeypatch):
 
 
 @pytest.mark.capture
+@pytest.mark.usefixtures("one_coarse_fit")
 def test_steps_by_hand_give_the_maps_of_a_capture_and_take_another_prior(steps):
     photo = load_photo(EXAMPLES / "photos" / "leather.dng", long_side=DETAIL)
     material, maps = steps.capture(photo)

@@ -1,6 +1,7 @@
 """Simulated photographs, one good and others as bad as users bring them."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from simulated.materials import realise
@@ -18,16 +19,19 @@ def piece(name, seed=3):
     return lambda width, height, texel: realise(name, width, height, seed, texel)
 
 
+@cache
 def shot(name):
     """A photograph under its flash, and what is true of it."""
     return take(piece(name), CAMERA, SETUP)
 
 
+@cache
 def good(name):
     """A photograph as it should be."""
     return as_photo(shot(name), 1, f"{name}.dng")
 
 
+@cache
 def maps(name, seed=3):
     """The true maps of what the photograph shows, or of another piece of the material."""
     truth = true_maps(piece(name, seed), CAMERA)

@@ -375,12 +375,12 @@ def test_another_material_is_no_good(leather):
     assert not verdict.fit
 
 
-def captured(photo, detail=256):
-    return capture_photo(photo, CaptureSettings(preset="instant", detail=detail)).verdict
+def captured(photo):
+    return capture_photo(photo, CaptureSettings(preset="instant", detail=256)).verdict
 
 
 def test_a_good_photograph_is_not_called_failed_and_shows_no_cause():
-    verdict = captured(shots.good("leather"), 512)
+    verdict = captured(shots.good("leather"))
     assert verdict.rating is not Rating.FAILED
     assert verdict.causes == ()
 
