@@ -51,6 +51,7 @@ _PHOTOGRAPH_WEIGHT = 0.7
 # measured above white granite's have 0.2 of it, leather's 0.4 to 0.67, a scratch's 0.77 and more.
 _MOST_ENERGY, _VISIBLE_SHARE, _OWN_ENERGY = 2.0, 0.5, 0.7
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
+_AT_ONCE = 64  # candidates compared at a time, whose texels a processor's cache holds
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _PLAIN = 0.5  # variance to which that of both sides of an overlap is added
@@ -259,7 +260,7 @@ class _Photograph:
         if not seen.any():
             return _Match(np.zeros(len(blocks) - 1, np.float32), 0.0, 0.0, share)
         even, shown = (x[(slice(None), *here)][None] for x in (self._even, self._log))
-        a, b = (_detrended(x - even, seen) for x in (log, shown))
+        a, b = _detrended(torch.cat([log, shown]) - even, seen).split([len(log), 1])
         lit, photographed = (x.square().sum((1, 2, 3)) for x in (a, b))
         mismatch = 1.0 - (a * b).sum((1, 2, 3)) / ((lit * photographed).sqrt() + 1e-6)
         ratio = (lit + 1e-6) / (photographed + 1e-6)
@@ -349,12 +350,19 @@ def _discontinuity(
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
-    texels = (blocks[:, :1] + rows) * donor.shape[2] + blocks[:, 1:] + columns
-    copied = np.take(donor.reshape(len(donor), -1), texels, axis=1)
     shown = seen[:, None, place[0] + rows, place[1] + columns]
-    variance = copied.var(axis=-1).mean(0) + shown.var(axis=-1).mean()
-    difference = np.minimum(np.square(copied - shown), np.float32(_FARTHEST)).mean((0, 2))
-    return np.asarray(difference / (variance + _PLAIN), np.float32)
+    varied, even = shown.var(axis=-1).mean() + _PLAIN, np.ones(rows.size, np.float32) / rows.size
+    flat, across = donor.reshape(len(donor), -1), donor.shape[2]
+    corners, texels = blocks @ [across, 1], rows * across + columns
+    mismatch = []
+    for first in range(0, len(corners), _AT_ONCE):
+        each = corners[first : first + _AT_ONCE, None] + texels
+        copied = np.take(flat, each, axis=1, mode="clip")  # without a second pass for bounds
+        variance = np.einsum("cnk,cnk->cn", copied, copied) / rows.size - np.square(copied @ even)
+        np.square(np.subtract(copied, shown, out=copied), out=copied)
+        difference = np.minimum(copied, np.float32(_FARTHEST), out=copied) @ even
+        mismatch.append(difference.mean(0) / (variance.mean(0) + varied))
+    return np.concatenate(mismatch).astype(np.float32)
 
 
 def _sources(
@@ -364,14 +372,14 @@ def _sources(
 
     A texel is copied from the block whose centre is nearest.
     """
-    source, nearest = np.indices(hidden.shape), np.full(hidden.shape, np.inf)
+    texels, nearest = np.indices(hidden.shape), np.full(hidden.shape, np.inf)
+    source = texels.copy()
     distance = np.abs(np.indices((_BLOCK, _BLOCK)) - 0.5 * (_BLOCK - 1)).max(axis=0)
     for place, donor in chosen.items():
         here = _block(place)
         own = hidden[here] & (distance < nearest[here])
         moved = np.array(donor)[:, None, None] - np.array(place)[:, None, None]
-        texel = np.indices(hidden.shape)[:, *here]
-        source[:, *here] = np.where(own, texel + moved, source[:, *here])
+        source[:, *here] = np.where(own, texels[:, *here] + moved, source[:, *here])
         nearest[here] = np.where(own, distance, nearest[here])
     return source, np.isfinite(nearest)
 

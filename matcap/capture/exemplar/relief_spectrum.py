@@ -28,6 +28,7 @@ COARSER = 8  # subsampling, texels, of wide blurs. Larger values are faster and 
 WIDE = 12.0
 # Pole of the cubic B-spline's inverse, and its taps on either side: 0.268^12 is 1.4e-7.
 _POLE, _SPLINE_REACH = np.sqrt(3.0) - 2.0, 12
+_FEW = 0.2  # share of a transform's sides below which a product of matrices is faster than it
 _SOFT = 0.25  # octaves, half width of the transition between bands. Smaller values ring.
 
 ChannelPlane = NDArray[np.float32]
@@ -137,12 +138,33 @@ def _shares(
     passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in bands]
     below = [*passed[1:], np.zeros_like(octave)]
     within = [above - finer for above, finer in zip(passed, below, strict=True)]
-    return (*within, 1.0 - passed[0])
+    return tuple(_long_waves(share) for share in (*within, 1.0 - passed[0]))
 
 
-def _of_waves(waves: NDArray[Any], share: NDArray[Any], height: int, width: int) -> ChannelPlane:
+def _long_waves(share: ChannelPlane) -> ChannelPlane:
+    """The corner of a share that is not 0, if it is a small one; else all of it."""
+    rows, columns = np.max(np.nonzero(share), axis=1, initial=0) + 1
+    few = max(rows / share.shape[0], columns / share.shape[1]) < _FEW
+    return np.ascontiguousarray(share[:rows, :columns]) if few else share
+
+
+def _of_waves(waves: NDArray[Any], share: ChannelPlane, height: int, width: int) -> ChannelPlane:
     """The plane whose cosine transform is `share` of `waves`, without what was padded."""
-    return np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
+    (down, across), (rows, columns) = waves.shape, share.shape
+    if rows == down:
+        return np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
+    long = waves[:rows, :columns] * share
+    whole = _cosines(down, rows)[:height] @ long @ _cosines(across, columns)[:width].T
+    return np.asarray(whole, np.float32)
+
+
+@lru_cache(maxsize=16)
+def _cosines(side: int, count: int) -> ChannelPlane:
+    """(side, count) the longest cosines of cv2.idct at `side` texels."""
+    turns = np.arange(count) * (np.arange(side)[:, None] + 0.5) / (2.0 * side)
+    waves = np.cos(2.0 * np.pi * turns) * np.sqrt(2.0 / side)
+    waves[:, 0] = np.sqrt(1.0 / side)
+    return np.asarray(waves, np.float32)
 
 
 def _ramp(octave: ChannelPlane) -> ChannelPlane:

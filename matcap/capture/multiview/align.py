@@ -30,7 +30,7 @@ from matcap.capture.multiview.texels import (
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, ViewWarp
+from matcap.capture.multiview.views import ResampledView, SharedLight, ShrunkPicture, ViewWarp
 from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import (
     Doubles,
@@ -92,10 +92,16 @@ class Aligned:
         first = self.views[0].camera.place
         return [ViewWarp(each, self.relief, first, self.extent) for each in self.homographies]
 
-    def on_grid(self, across: int, down: int) -> list[ResampledView]:
-        """Resample every photograph to a grid of (down, across) texels."""
-        both = zip(self.views, self.warps, strict=True)
-        return [ResampledView.of(view, across, down, warp) for view, warp in both]
+    def pictures(self, across: int) -> list[ShrunkPicture]:
+        """Every photograph's pixels, for a grid of so many texels across."""
+        return [ShrunkPicture.of(view.photo, across) for view in self.views]
+
+    def on_grid(
+        self, across: int, down: int, pictures: Sequence[ShrunkPicture] | None = None
+    ) -> list[ResampledView]:
+        """Resample every photograph, given its pictures, to a grid of (down, across) texels."""
+        each = zip(self.views, pictures or self.pictures(across), self.warps, strict=True)
+        return [ResampledView.of(view, own, across, down, warp) for view, own, warp in each]
 
 
 @torch.no_grad()
@@ -125,12 +131,13 @@ def aligned(
         }
         if not uncertain and not steps:
             continue
-        views = alignment.on_grid(*size)
+        pictures = alignment.pictures(size[0])
+        views = alignment.on_grid(*size, pictures)
         parameters = _initial(views, parameters, prior, alignment.light, steps)
         relief = _relief(parameters, texel, alignment.extent.unit(size[0]))
         for turn in range(rounds):
             if turn:
-                views = alignment.on_grid(*size)
+                views = alignment.on_grid(*size, pictures)
             lit = under_fitted_ambient(views, parameters, alignment.light)
             light, moves = shared_step(lit, parameters, prior, alignment.light, moved=uncertain)
             both = zip(alignment.homographies, moves, strict=True)

@@ -31,7 +31,7 @@ from matcap.capture.multiview.texels import (
     weights,
     with_gloss,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import ResampledView, SharedLight, by_vignetting, light_at
 from matcap.capture.registration.camera import Doubles
 from matcap.flash.geometry import OWN
 from matcap.flash.light import DifferentiableLight
@@ -353,12 +353,13 @@ class _SharedFit:
     ) -> tuple[Tensor, Tensor]:
         """(k, 3, N) d log L of a photograph / d shared parameter, and their indices (k,).
 
-        By the light, from finite differences; by a gain, 1; by the homography, image gradients.
+        By the flash's offset, from finite differences; by the homography, image gradients.
         """
         indices, columns = torch.cat([index.offset, index.vignetting]), []
-        for step in 1e-2 * torch.eye(len(values), dtype=values.dtype)[indices]:
+        for step in 1e-2 * torch.eye(len(values), dtype=values.dtype)[index.offset]:
             rendered = log_rendered(some, [self._lit(number, values + step)])[0]
             columns.append((rendered - log)[:, 0] / 1e-2)
+        columns += by_vignetting(self.views[number], self.light, self.points).expand(-1, 3, -1)
         if not number:
             return torch.stack(columns), indices
         columns += [*torch.eye(3)[..., None].expand(-1, -1, log.shape[-1])]

@@ -35,7 +35,6 @@ from matcap.capture.multiview.surface import (
     with_energies,
 )
 from matcap.capture.multiview.texels import (
-    ROWS,
     SLOPES,
     Estimate,
     ParameterPrior,
@@ -343,7 +342,7 @@ def _residuals(
 ) -> tuple[float, ...]:
     """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
     residuals: list[list[Tensor]] = [[] for _ in views]
-    for rows in strips(parameters.shape[1], ROWS // 4)[::4]:
+    for rows in strips(parameters.shape[1], 12)[::4]:
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
         lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
         rendered = log_rendered(parameters[:, rows], lights)

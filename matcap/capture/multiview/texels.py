@@ -63,8 +63,8 @@ _STEEPEST = 3.0  # largest slope
 # more leaves the trade-off of albedo and slope at its initial value.
 _DAMPING = 0.005
 _HALVED = 5  # fewest photographs whose halves measure both slopes
+_AT_ONCE = 1 << 14  # texels solved at a time, whose equations a processor's cache holds
 _HALF_PRIOR = 3.0  # factor on prior deviations for the halves, whose mean energy is measured
-ROWS = 48  # of texels solved at a time; memory is proportional
 
 
 @dataclass(frozen=True)
@@ -378,12 +378,13 @@ def stepped(
     halved = changed == SLOPES and all(view.flash for view in views)
     parts = halves_of(places) if halved else ()
     halves = torch.zeros(len(parts), *shape)
-    for rows in strips(parameters.shape[1], ROWS):
+    for rows in strips(parameters.shape[1], max(1, _AT_ONCE // parameters.shape[2])):
         part = slice(PARAMETERS if slopes else SLOPES.start), rows
         of_each = _normal_equations(views, rows, parameters[:, rows], light, slopes=slopes)
         whole = sum(of_each[1:], of_each[0])
         current = parameters[part], prior.mean[part], prior.deviation[part]
-        moved[part], precision[part], factor = solved(whole.clone(), *current)
+        system = whole.clone() if changed else whole
+        moved[part], precision[part], factor = solved(system, *current)
         if slopes:
             # L L^T, L being the block of slopes of the Cholesky factor, as they are last.
             (xx, _), (yx, yy) = factor[SLOPES, SLOPES]
@@ -432,18 +433,17 @@ def normal_equations(residual: Tensor, weight: Tensor, share: Tensor, by_others:
         by_others: (m, 3, N) derivatives by the others.
 
     Returns:
-        (m + 4, m + 3, N) lower triangles of J^T W J, and J^T W r as the last row. Equations of
-        several photographs are added.
+        (m + 4, m + 3, N) lower triangles of J^T W J, anything above them, and J^T W r as the last
+        row. Equations of several photographs are added.
     """
-    system = torch.zeros(len(by_others) + 4, len(by_others) + 3, residual.shape[-1])
-    weighted = share * weight
+    system = residual.new_empty(len(by_others) + 4, len(by_others) + 3, residual.shape[-1])
+    rows, weighted = torch.cat([by_others, residual[None]]), share * weight
+    system[:3, :3] = 0.0
     system[:3, :3].diagonal().copy_((weighted * share).T)
-    torch.mul(by_others, weighted, out=system[3:-1, :3])
-    torch.mul(residual, weighted, out=system[-1, :3])
-    weighted = by_others * weight
-    for number, column in enumerate(weighted):
-        system[3 + number : -1, 3 + number] = (column * by_others[number:]).sum(1)
-    system[-1, 3:] = (weighted * residual).sum(1)
+    torch.mul(rows, weighted, out=system[3:, :3])
+    for number, (red, green, blue) in enumerate(by_others * weight):
+        column = torch.mul(rows[number:, 0], red, out=system[3 + number :, 3 + number])
+        column.addcmul_(rows[number:, 1], green).addcmul_(rows[number:, 2], blue)
     return system
 
 
@@ -479,10 +479,10 @@ def _normal_equations(
     lights = (light_at(k, view, light, points) for k, view in enumerate(views) if seen[k].any())
     shaded = derivatives(parameters, lights)
     count = PARAMETERS if slopes else SLOPES.start
-    nothing, equations = torch.zeros(count + 1, count, parameters[0].numel()), []
+    equations = []
     for view, mask in zip(views, seen, strict=True):
         if not mask.any():
-            equations.append(nothing)
+            equations.append(torch.zeros(count + 1, count, parameters[0].numel()))
             continue
         log, share, by_others = next(shaded)
         residual = view.log[:, rows] - log
@@ -520,9 +520,9 @@ def solved_in_place(system: Tensor) -> Tensor:
     for k in range(count):
         system[k:, k] *= system[k, k].rsqrt()
         for j in range(max(k + 1, F0), count):
-            system[j:, j] -= system[j:, k] * system[j, k]
+            system[j:, j].addcmul_(system[j:, k], system[j, k], value=-1.0)
     solution = system[count:].movedim(0, 1).clone()
     for k in reversed(range(count)):
         solution[k] /= system[k, k]
-        solution[:k] -= system[k, :k, None] * solution[k]
+        solution[:k].addcmul_(system[k, :k, None], solution[k], value=-1.0)
     return solution

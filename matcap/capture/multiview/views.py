@@ -31,6 +31,7 @@ from matcap.flash.light import (
 )
 from matcap.flash.rectify import FINER, planes_of
 from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
+from matcap.photo.photo import Photo
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
 _BORDER = 2.0  # width of a photograph's unused border, pixels
@@ -117,6 +118,26 @@ class ViewWarp:
 
 
 @dataclass(frozen=True)
+class ShrunkPicture:
+    """A photograph with as many pixels as a grid samples."""
+
+    linear: NDArray[np.float32]
+    """(h, w, 3) radiance."""
+    clipped: NDArray[np.float32] | None
+    """(h, w, 3) share of clipped pixels; None if none is."""
+
+    @staticmethod
+    def of(photo: Photo, across: int) -> ShrunkPicture:
+        """For a grid of so many texels across."""
+        rows, columns = photo.pixels.shape[:2]
+        shrink = min(1.0, FINER * across / columns)
+        size = (round(columns * shrink), round(rows * shrink))
+        full = photo.full.astype(np.float32) if photo.clipped.any() else None
+        clipped = None if full is None else area_averaged(full, size)
+        return ShrunkPicture(area_averaged(photo.pixels, size), clipped)
+
+
+@dataclass(frozen=True)
 class ResampledView:
     """A photograph resampled on the exemplar's grid."""
 
@@ -137,21 +158,19 @@ class ResampledView:
         return 0.0 if self.flash else AMBIENT_NOISE
 
     @staticmethod
-    def of(view: RegisteredView, across: int, down: int, warp: ViewWarp) -> ResampledView:
+    def of(
+        view: RegisteredView, picture: ShrunkPicture, across: int, down: int, warp: ViewWarp
+    ) -> ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
         Args:
             view: the photograph.
+            picture: its pixels, for as many texels across.
             across, down: texels.
             warp: map to plane points.
         """
-        photo = view.photo
-        rows, columns = photo.pixels.shape[:2]
-        finer = FINER if columns >= FINER * across else 1
-        shrink = min(1.0, FINER * across / columns)
-        size = (round(columns * shrink), round(rows * shrink))
-        pixels = area_averaged(photo.pixels, size)
-        clipped = area_averaged(photo.full.astype(np.float32), size)
+        finer = FINER if view.photo.pixels.shape[1] >= FINER * across else 1
+        size = picture.linear.shape[1::-1]
         # A few rows at a time: whole grids of double precision would need much memory.
         grid = warp.points(across * finer, down * finer)
         parts = [to_pixels(view.camera.sees(points), *size) for points in grid]
@@ -162,10 +181,11 @@ class ResampledView:
             resampled = cv2.remap(picture, x, y, how, borderMode=cv2.BORDER_REFLECT_101)
             return area_averaged(resampled, (across, down))
 
-        linear = gridded(pixels, cv2.INTER_CUBIC).clip(DARKEST)
-        hidden = gridded(clipped, cv2.INTER_LINEAR) > CLIPPED_SHARE
+        linear = gridded(picture.linear, cv2.INTER_CUBIC).clip(DARKEST)
         whole = area_averaged(inside.astype(np.float32), (across, down))
-        seen = ~hidden & (whole[..., None] > 0.99)
+        seen = np.repeat(whole[..., None] > 0.99, 3, axis=2)
+        if picture.clipped is not None:
+            seen &= gridded(picture.clipped, cv2.INTER_LINEAR) <= CLIPPED_SHARE
         return ResampledView(
             planes_of(np.log(linear)), planes_of(seen), view.camera, view.flash, warp.extent
         )
@@ -177,13 +197,26 @@ def light_at(
     """Light of photograph `number` at plane points (3, h, w)."""
     if not view.flash:
         return AmbientLight(light.ambient, light.gain[number].exp()[:, None, None])
-    camera = view.camera
-    turn = torch.from_numpy(camera.turn).to(points)
-    place = torch.from_numpy(camera.place).to(points)
+    place = torch.from_numpy(view.camera.place).to(points)
+    turn = torch.from_numpy(view.camera.turn).to(points)
     flash = place + turn.T @ torch.cat([light.offset, light.offset.new_zeros(1)]).to(points)
-    in_camera = torch.tensordot(turn, points - place[:, None, None], dims=1)
-    image = camera.lens.focal * in_camera[:2] / -in_camera[2:]
-    image = image - image.new_tensor(light.centre)[:, None, None]
-    lost = log_vignette(image, light.vignetting[0], light.vignetting[1])
+    lost = log_vignette(_in_image(view, light, points), light.vignetting[0], light.vignetting[1])
     strength = (light.intensity.log() + light.gain[number]).to(points)
     return FlashLight.between(points, place, flash, (strength[:, None, None] + lost).exp())
+
+
+def by_vignetting(view: ResampledView, light: SharedLight, points: Tensor) -> Tensor:
+    """(2, h, w) derivatives of log radiance at plane points (3, h, w) by SharedLight.vignetting."""
+    if not view.flash:
+        return points.new_zeros(2, *points.shape[1:])
+    image = _in_image(view, light, points)
+    return torch.stack([log_vignette(image, 1.0, 0.0), log_vignette(image, 0.0, 1.0)])
+
+
+def _in_image(view: ResampledView, light: SharedLight, points: Tensor) -> Tensor:
+    """(2, h, w) image coordinates of plane points (3, h, w), from the vignetting's centre."""
+    camera = view.camera
+    turn, place = (torch.from_numpy(each).to(points) for each in (camera.turn, camera.place))
+    in_camera = torch.tensordot(turn, points - place[:, None, None], dims=1)
+    image = camera.lens.focal * in_camera[:2] / -in_camera[2:]
+    return image - image.new_tensor(light.centre)[:, None, None]
