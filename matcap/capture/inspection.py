@@ -105,6 +105,9 @@ def checked(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
     inside = valid | (picture > FULL * limit).any(axis=2)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup, limit)
     if profile is None or not profile.glossy:
+        spot = inspected["hot_spot"]
+        if profile is not None and not spot.rating.fit:  # of a matte sample it does not say much
+            inspected = inspected.with_finding(replace(spot, rating=Rating.USABLE, severity=_CORE))
         return inspected.with_finding(CHECKS["highlight"].finding(math.nan))
     more = f", or more: {profile.clipped[0]:.0%} of it is clipped" if profile.bound else ""
     if profile.glints:

@@ -35,7 +35,6 @@ _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
 _LIT = 1024  # texels along the width that are rendered for a panel under another light, at least
 _TITLE = 46  # pixels
-_VERDICT_WIDTH = 150  # characters of the verdict in a line
 # sRGB code values.
 _INK, _TITLE_INK, _PAPER = (225, 225, 225), (255, 255, 255), (24, 24, 24)
 _HATCH, _HATCH_INK = 12, (110, 110, 110)  # pixels between lines
@@ -67,11 +66,15 @@ class Panel:
     """(H, W) of every texel: what the photograph does not show, which is hatched."""
     marked: Region | None = None
     """Region that the verdict is about."""
+    number: str = ""
+    """The value of a constant map, which is written in place of a picture."""
 
     def resized(self, size: tuple[int, int]) -> Image.Image:
         """The whole picture at a size of (width, height) pixels."""
         import cv2
 
+        if self.number:
+            return self._written(size)
         way = cv2.INTER_AREA if size[0] <= self.values.shape[1] else cv2.INTER_NEAREST
         image = self._image(
             np.asarray(cv2.resize(self.values, size, interpolation=way), np.float32)
@@ -84,11 +87,19 @@ class Panel:
     def crop(self) -> Image.Image:
         """Crop at one pixel per texel, at a quarter of the width, next to the highlight."""
         height, width = self.values.shape[:2]
+        if self.number:
+            return self._written((min(_CROP, width), min(_CROP, height)))
         close = self.values[_crop(width, height)] if self.close is None else self.close
         image = self._image(close)
         if self.hidden is None:
             return image
         return hatched(image, self.hidden[_crop(self.hidden.shape[1], self.hidden.shape[0])])
+
+    def _written(self, size: tuple[int, int]) -> Image.Image:
+        image, font = Image.new("RGB", size, _PAPER), ImageFont.load_default(size=32)
+        middle = (size[0] / 2, size[1] / 2)
+        ImageDraw.Draw(image).text(middle, self.number, fill=_INK, font=font, anchor="mm")
+        return image
 
     def _image(self, values: NDArray[np.float32]) -> Image.Image:
         code = np.rint(np.clip(self.code(values), 0.0, 1.0) * 255.0)
@@ -178,20 +189,27 @@ def stacked(blocks: Sequence[Image.Image]) -> Image.Image:
 def _headline(result: CaptureResult, width: int) -> Image.Image:
     """Banner of a width in pixels: the verdict, and the exposure of the pictures."""
     verdict, exposure = result.verdict, result.photo.exposure
-    lines = textwrap.wrap(f"Verdict: {verdict.sentence()}", _VERDICT_WIDTH)
     shown = "Pictures are at the photograph's exposure; those under other lights, at its mean."
     if exposure is not None:
         shown += f" The photograph's: time x ISO / f-number^2 = {exposure:.3g}."
     if result.choice is not None:
         shown = f"{result.choice.sentence()} {shown}"
-    below = textwrap.wrap(shown, _VERDICT_WIDTH)
-    line = Image.new("RGB", (width, 20 + 28 * (len(lines) + len(below))), _PAPER)
-    draw, font = ImageDraw.Draw(line), ImageFont.load_default(size=20)
-    ink = _RATED[verdict.rating]
-    draw.text((_GAP, 12), "\n".join(lines), fill=ink, font=font, spacing=6)
-    y = 12 + 28 * len(lines)
-    draw.text((_GAP, y), "\n".join(below), fill=_INK, font=font, spacing=6)
-    return line
+    font = ImageFont.load_default(size=20)
+    said = ((f"Verdict: {verdict.sentence()}", _RATED[verdict.rating]), (shown, _INK))
+    lines = [(line, ink) for text, ink in said for line in _wrapped(text, font, width)]
+    banner = Image.new("RGB", (width, 20 + 28 * len(lines)), _PAPER)
+    draw = ImageDraw.Draw(banner)
+    for row, (line, ink) in enumerate(lines):
+        draw.text((_GAP, 12 + 28 * row), line, fill=ink, font=font)
+    return banner
+
+
+def _wrapped(
+    text: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: int
+) -> list[str]:
+    """Lines of a text that fit into a width in pixels, without the gaps at its sides."""
+    letters = int(0.95 * (width - 2 * _GAP) * len(text) / max(1.0, font.getlength(text)))
+    return textwrap.wrap(text, max(8, letters))
 
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
@@ -279,8 +297,7 @@ def block(shown: Sequence[Panel]) -> Image.Image:
 def titled(shown: Image.Image, title: str) -> Image.Image:
     """Add a title above a picture, wrapped to its width."""
     font = ImageFont.load_default(size=24)
-    letters = int((shown.width - 2 * _GAP) / (font.getlength(title) / max(1, len(title))))
-    lines = textwrap.wrap(title, max(8, letters - 2))
+    lines = _wrapped(title, font, shown.width)
     heading = Image.new("RGB", (shown.width, _TITLE * max(1, len(lines))), _PAPER)
     ink = ImageDraw.Draw(heading)
     for row, line in enumerate(lines):
@@ -371,8 +388,8 @@ def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
     low, high = (float(v) for v in np.quantile(values[some, some], (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
     if high - low < _CONSTANT * _LEAST_SPAN[kind]:
-        label = f"{kind}: {(low + high) / 2:.3g} everywhere"
-        return Panel(label, np.full_like(values[..., 0], _PAPER[0] / 255.0), lambda some: some)
+        number = f"{(low + high) / 2:.3g}"
+        return Panel(f"{kind}: one value", values[..., 0], number=number)
     short = max(_LEAST_SPAN[kind] - (high - low), 0.0)
     low, high = low - short / 2, high + short / 2
     return Panel(label, values[..., 0], lambda some: (some - low) / (high - low))

@@ -406,7 +406,8 @@ _CAUSES = (
         "large features", "patch size of the field: small patches at 1, the whole exemplar at 0",
         1.0, 0.2,
         "the pattern's features are almost as large as the photograph, too large to rearrange",
-        "use it with --variety 0, or photograph more of the sample from further away",
+        "photograph more of the sample from farther away, or make that rectangle repeat (synth "
+        "--tile piece)",
         frozenset({"texture", "contrast", "pattern", "light"}),
     ),
 )  # fmt: skip

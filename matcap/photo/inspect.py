@@ -44,9 +44,9 @@ _FLASH_TERMS = 5  # functions of the distance from the hot spot
 _TILES = 8  # along the long side
 # A picture without a material: pixels across that are too few, share of pixels equal to others,
 # deviation of log radiance in fine texture below which there is none, difference between parts.
-_SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.4, 0.003, 2.4
+_SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.4, 0.008, 2.4
 _SEPARATION = 32  # how far from others, as a share of the longer side
-_NOT_ONE = 4.0  # severity of such a picture
+_NOT_ONE = 9.0  # severity of such a picture, above those of what is wrong with a material's
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
 
 
@@ -203,9 +203,16 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
         what, why = "the picture is one plain colour, without any texture", "nothing to measure"
         do = "photograph a material with its texture in focus, lit by the flash"
     elif equal > _EQUAL:
-        what = f"{equal:.0%} of the pixels are exactly as others a 32nd of the width away"
-        why, do = "a screenshot or a drawing, or it is far overexposed", original
-    elif falloff < CHECKS["flash"].limits[2] and not photo.flash_fired:
+        what = (
+            "the picture looks like a screenshot or a drawing, or is far overexposed: "
+            f"{equal:.0%} of its pixels are exactly as others a 32nd of the width away"
+        )
+        why, do = "no photograph of a material has as many", original
+    elif (
+        falloff < CHECKS["flash"].limits[2]
+        and not photo.flash_fired
+        and photo.clipped_share < CHECKS["clipped"].limits[2]  # white hides the flash
+    ):
         what = "there is no flash in the picture: its middle is no brighter than its border"
         why, do = "the flash was off", f"photograph with the flash on, in a dark room, {square}"
     elif mixed > _MIXED:

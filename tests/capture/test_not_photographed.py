@@ -1,6 +1,7 @@
 """Beyond the frame of a tilted photograph is no material: not in fields, hatched in sheets."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,3 +76,15 @@ def test_a_panel_hatches_at_any_size_and_in_its_crop():
     close = Panel("relit", panel.values, close=np.ones((256, 256, 3), np.float32), hidden=hidden)
     crop = np.array(close.crop())
     assert (crop[:, 129:] == 255).all() and crop[:, :127].max() < 200
+
+
+def test_a_constant_map_is_a_number_and_is_not_hatched():
+    flat = np.full((300, 400), 0.04, np.float32)
+    panel = Panel("specular", flat, hidden=np.ones((600, 800), bool), number="0.04")
+    empty = replace(panel, number=" ")
+    for shown, blank in (
+        (panel.resized((100, 75)), empty.resized((100, 75))),
+        (panel.crop(), empty.crop()),
+    ):
+        assert len(np.unique(np.array(blank).reshape(-1, 3), axis=0)) == 1
+        assert shown.size == blank.size and (np.array(shown) != np.array(blank)).any()

@@ -245,8 +245,9 @@ class ExemplarMeasurements:
             error=estimate.error,
             confidence=estimate.mean_confidence(rectified.photo.kept_share),
             residue=highlight_residue(first, setup),
-            # Of a lattice, whole periods are rearranged, however small they are.
-            variety=1.0 if rectified.waves else example.variety,
+            # Of a lattice, whole periods are rearranged, however small they are; of variety 0
+            # nothing is.
+            variety=1.0 if rectified.waves and example.variety else example.variety,
             repeats=0.0 if seed is None else _repeats(example, first.size, seed),
         )
 

@@ -27,7 +27,7 @@ _BY_PHOTOGRAPH = {
     "clipped": _AT_HIGHLIGHT | {"colour"},
     "sharpness": _IN_TEXTURE,
     "stationarity": _IN_TEXTURE | {"light", "colour"},
-    "tilt": frozenset({"light", "texture"}),
+    "tilt": frozenset({"light"}),
 }
 _PREDICTED = 0.5  # share of relief that is predicted rather than measured, from which it matters
 _MISFIT = 0.12  # log radiance by which maps of the photographed rectangle do not explain it
@@ -253,7 +253,8 @@ def _contrast(seen: Measurements) -> Finding:
     band = max(factors, key=lambda name: abs(math.log(factors[name])))
     factor = factors[band]
     says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
-    return CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
+    found = CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
+    return replace(found, where=seen.regions.get(band))
 
 
 def _pattern(seen: Measurements) -> Finding:

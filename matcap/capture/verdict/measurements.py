@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -86,7 +87,7 @@ class Measurements:
     photographs: int = 1
     """Number of photographs of the sample."""
     regions: Mapping[str, Region] = field(default_factory=dict)
-    """Where it is seen, by `highlight` and `texture`, in the upright picture."""
+    """Where it is seen, by `highlight`, `texture` and band of contrast, in the upright picture."""
 
 
 def measure_capture(
@@ -123,46 +124,31 @@ def measure_capture(
     inside = valid | (rectified > FULL * limit).any(axis=2)
     plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=limit)
     rendering = planes_of(pictures[1])
+    texture, regions = texture_difference(plane, rendering)
+    contrast, where = texture_contrasts(pictures[0], tiles, developed=developed)
+    regions |= where
+    if (seen := highlights[0] or highlights[1]) is not None:
+        regions["highlight"] = _around(seen, rectified.shape)
     return Measurements(
         photograph=inspected or inspect_photo(photo, setup.tilt),
         highlights=highlights,
         profile=highlight_profile(pictures, inside, valid, setup, limit),
         colour=colour,
         light=light,
-        texture=texture_difference(plane, rendering),
-        contrast=texture_contrasts(pictures[0], tiles, developed=developed),
+        texture=texture,
+        contrast=contrast,
         order=_order(plane, rendering, waves) if waves else None,
         exemplar=exemplar,
         causes=measure_causes(smooth, pictures, highlights, exemplar),
-        regions={
-            name: upright_region(photo, region)
-            for name, region in _regions(rectified.shape, tiles, highlights).items()
-        },
+        regions={name: upright_region(photo, region) for name, region in regions.items()},
     )
 
 
-def _regions(
-    shape: tuple[int, ...],
-    tiles: tuple[dict[str, Picture], dict[str, Picture]],
-    highlights: tuple[Highlight | None, Highlight | None],
-) -> dict[str, Region]:
-    """Squares around the highlight, and around the tile whose contrast differs most."""
-    before, after = (each["coarse"] for each in tiles)
-    differs = np.abs(np.log((after + UNSEEN**2) / (before + UNSEEN**2)))
-    rows, columns = differs.shape
-    row, column = divmod(int(differs.argmax()), columns)
-    regions = {"texture": (column / columns, row / rows, 1.0 / columns, 1.0 / rows)}
-    seen = highlights[0] or highlights[1]
-    if seen is not None:
-        half, up = max(seen.width, _LEAST_MARK), shape[0] / shape[1]
-        x, y = seen.centre
-        regions["highlight"] = (
-            (1.0 + x - half) / 2.0,
-            (up - y - half) / (2.0 * up),
-            half,
-            half / up,
-        )
-    return regions
+def _around(highlight: Highlight, shape: tuple[int, ...]) -> Region:
+    """Square around a highlight, in shares of a picture (H, W)."""
+    half, up = max(highlight.width, _LEAST_MARK), shape[0] / shape[1]
+    x, y = highlight.centre
+    return (1.0 + x - half) / 2.0, (up - y - half) / (2.0 * up), half, half / up
 
 
 def smooth_difference(
@@ -191,8 +177,9 @@ def texture_contrasts(
     tiles: tuple[dict[str, Picture], dict[str, Picture]],
     *,
     developed: bool = False,
-) -> dict[str, tuple[float, float]]:
-    """Root-mean-square contrast of log luminance, and of colour, in two linear pictures (H, W, 3).
+) -> tuple[dict[str, tuple[float, float]], dict[str, Region]]:
+    """Root-mean-square contrast of log luminance, and of colour, in two linear pictures (H, W, 3),
+    and the tile of which the contrast differs most in the direction of all.
 
     `seen` is the photograph, `tiles` are of it and of its re-rendering (tile_contrasts).
 
@@ -209,14 +196,23 @@ def texture_contrasts(
         noise = _code_variance(cell_means(seen, _TILES), _log_luminance(seen)[1])
         before, after = (each | {"coloured": each["coloured"] + noise} for each in tiles)
 
-    def of(tile: Picture, region: NDArray[np.bool_]) -> float:
-        return math.sqrt(float(np.median(tile[region])))
+    contrast, places = {}, {}
+    for band in before:
+        change = np.log((after[band] + UNSEEN**2) / (before[band] + UNSEEN**2))
+        for where, region in (("in the light", bright), ("beside the light", ~bright)):
+            name = f"{band} texture {where}"
+            of = (math.sqrt(float(np.median(tile[region]))) for tile in (before[band], after[band]))
+            contrast[name] = (next(of), next(of))
+            grown = change if contrast[name][1] > contrast[name][0] else -change
+            places[name] = _tile(np.where(region, grown, -np.inf))
+    return contrast, places
 
-    return {
-        f"{band} texture {where}": (of(before[band], region), of(after[band], region))
-        for band in before
-        for where, region in (("in the light", bright), ("beside the light", ~bright))
-    }
+
+def _tile(values: NDArray[Any]) -> Region:
+    """The largest of tiles, in shares of the picture."""
+    rows, columns = values.shape
+    row, column = divmod(int(values.argmax()), columns)
+    return column / columns, row / rows, 1.0 / columns, 1.0 / rows
 
 
 def tile_contrasts(picture: Picture) -> dict[str, Picture]:
@@ -257,7 +253,7 @@ def _smooth(picture: Picture) -> NDArray[np.float64]:
     return np.asarray(smooth, np.float64)
 
 
-def texture_difference(plane: Plane, rendering: Tensor) -> float:
+def texture_difference(plane: Plane, rendering: Tensor) -> tuple[float, dict[str, Region]]:
     """Texture distance of a rendering, relative to that between parts of the photograph.
 
     Args:
@@ -267,7 +263,8 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
     Returns:
         median distance of texture statistics (statistics/compare.py) between rendering and
         photograph at the same places over that between neighbouring places of the photograph;
-        without mean colours. NaN if the picture is too small.
+        without mean colours; and the place, as `texture`, where a rendering's is largest. NaN and
+        none if the picture is too small.
     """
     width, height = plane.size
     places = [
@@ -277,7 +274,7 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
         if plane.valid[y : y + WINDOW, x : x + 2 * WINDOW].float().mean() > _LEAST_SEEN
     ]
     if not places:
-        return math.nan
+        return math.nan, {}
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
@@ -288,7 +285,10 @@ def texture_difference(plane: Plane, rendering: Tensor) -> float:
         here, neighbour = described(plane.linear, 0), described(plane.linear, WINDOW)
         there = described(rendering, 0)
         own = float(distance(neighbour, here, weights).median())
-        return float(distance(there, here, weights).median()) / max(own, 1e-6)
+        differs = distance(there, here, weights)
+    x, y = places[int(differs.argmax())]
+    region = (x / width, y / height, WINDOW / width, WINDOW / height)
+    return float(differs.median()) / max(own, 1e-6), {"texture": region}
 
 
 def _spread(room: int, count: int) -> list[int]:

@@ -205,7 +205,9 @@ def test_what_is_no_material_is_named_by_inspect_and_capture_alike(picture, says
     inspected = inspect_photo(photo_from_array(picture()))
     subject = inspected["subject"]
     assert subject.rating is Rating.FAILED and says in subject.says
-    shot = Inspection("shot", (subject, *GOOD_SHOT.findings[1:]))
+    # White paper of a screenshot is clipped, too.
+    clipped = CHECKS["clipped"].finding(0.9)
+    shot = Inspection("shot", (subject, *GOOD_SHOT.findings[1:])).with_finding(clipped)
     verdict = judge(replace(FINE, photograph=shot))
     assert verdict.rating is Rating.FAILED and says in verdict.sentence()
 
@@ -214,6 +216,23 @@ def test_a_thumbnail_is_named_and_not_rated():
     photo = photo_from_array(shots.good("tile").pixels[:150, :200])
     subject = inspect_photo(photo)["subject"]
     assert subject.rating is Rating.NOT_JUDGED and "200 x 150 pixels" in subject.says
+
+
+def test_what_is_far_overexposed_has_a_flash_that_white_hides():
+    found = inspect_photo(replace(photo_from_array(_evenly_lit()), stored_clipped_share=0.5))
+    assert found["subject"].rating is Rating.GOOD and found["clipped"].rating is Rating.FAILED
+
+
+def test_a_band_is_weaker_where_it_is_weakest_beside_the_light():
+    seen = 0.2 + 0.05 * np.random.default_rng(3).standard_normal((192, 256, 1), np.float32)
+    seen = np.repeat(cv2.GaussianBlur(seen, (0, 0), 1.0)[..., None], 3, 2)
+    made = 0.2 + 0.5 * (seen - 0.2)
+    made[96:128, 32:64] = 0.2
+    made[32:64, 224:] = 0.2 + 3.0 * (seen[32:64, 224:] - 0.2)
+    contrast, places = texture_contrasts(seen, (tile_contrasts(seen), tile_contrasts(made)))
+    before, after = contrast["fine texture beside the light"]
+    assert after < 0.7 * before
+    assert places["fine texture beside the light"] == (1 / 8, 3 / 6, 1 / 8, 1 / 6)
 
 
 def test_a_measurement_that_is_not_a_number_has_failed():
@@ -589,8 +608,8 @@ def test_colour_within_a_code_is_noise_of_a_developed_photograph() -> None:
     for codes, least, most in ((1.0, 0.6, 1.0), (8.0, 0.0, 0.3)):
         seen = grey + blotches * code_step(grey) * np.float32(codes)
         tiles = tile_contrasts(seen), tile_contrasts(grey)
-        contrasts = texture_contrasts(seen, tiles, developed=True)
+        contrasts, _ = texture_contrasts(seen, tiles, developed=True)
         before, after = contrasts["coloured texture in the light"]
         assert least < after / before < most
-    before, after = texture_contrasts(seen, tiles)["coloured texture in the light"]
+    before, after = texture_contrasts(seen, tiles)[0]["coloured texture in the light"]
     assert after < 1e-3 < before
