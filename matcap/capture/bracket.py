@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 from matcap.capture.registration.keypoints import normalise_contrast
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_slope
+from matcap.files.containers import FileKind
 from matcap.files.process import quiet_decoders
 from matcap.photo.exif import read_exif
 from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
-from matcap.photo.load import load_photo
+from matcap.photo.load import file_kind, load_photo
 from matcap.photo.photo import FULL, Photo, ToneCurve
 from matcap.photo.response import ExposureRatio, Tones, UsableTones, fit_ratio
 
@@ -48,6 +49,7 @@ _NEAR = 0.05  # way of the camera over its distance
 _DETECTED = 1024  # pixels across at which photographs are compared
 # Alignment: pixels across of the tiles' grid and of the first, whole shift; pixels of a tile.
 _COLUMNS, _WHOLE, _TILE = 1024, 256, 128
+_FINEST = 4096  # pixels across of files of which single ones give the tone curve
 _ROUNDS = 3
 _FARTHEST = 0.2  # of a side: standard deviation by which nearer shifts are preferred
 _INLIER = 1.0  # pixels by which a tile's shift may differ from the homography's
@@ -171,7 +173,8 @@ class _Aligned:
         """Value below which it is not compared."""
         if self.photo.radiometric or self.photo.floating:
             return 1e-3
-        return _DARKEST_CODES / (255.0 * 12.92)
+        code = np.array(_DARKEST_CODES / (255.0 * 12.92))
+        return float((self.photo.tone or ToneCurve()).linear(code))
 
 
 @dataclass(frozen=True)
@@ -256,7 +259,7 @@ class Bracket:
             radiometric=all(view.photo.radiometric for view in self.views),
             floating=any(view.photo.floating for view in self.views) and linear,
             exposure=self.views[longest].photo.exposure,
-            tone=self.curves[longest],
+            tone=self.views[longest].photo.tone or self.curves[longest],
             notes=(*first.notes, *self._notes()),
         )
 
@@ -274,16 +277,17 @@ class Bracket:
         """
         view, curve = self.views[number], self.curves[number]
         photo, values = view.photo, np.maximum(view.pixels, np.float32(view.faintest))
+        tone, codes = photo.tone or curve, photo.developed(values)
         if view.noise is not None:
             variance = cv2.GaussianBlur(np.square(view.noise), (0, 0), _NOISE_AROUND)
         else:
-            variance = _SHOT * values + np.float32(1e-7)
+            variance = _SHOT * codes + np.float32(1e-7)
             if not photo.floating:
-                step = 1.0 / (255.0 * srgb_slope(np.minimum(values, 1.0)))
+                step = 1.0 / (255.0 * srgb_slope(np.minimum(codes, 1.0)))
                 variance = variance + np.square(step) / 3.0
         # Of the logarithm of light, by the curve's slope d log x / d log y = 1 / (c (1 - w y)).
-        slope = 1.0 / (curve.exponent * np.maximum(1.0 - curve.shoulder * values, 0.05))
-        relative = variance * np.square(slope / values)
+        slope = 1.0 / (tone.exponent * np.maximum(1.0 - tone.shoulder * codes, 0.05))
+        relative = variance * np.square(slope / codes)
         relative = relative + np.float32(_NEAR_CLIPPED**2) * view.near_clipped[..., None]
         low, high = (share * min(photo.headroom, 1e30) for share in _FADES)
         fade = np.clip((high - values.max(axis=2)) / (high - low), 0.0, 1.0)[..., None]
@@ -306,19 +310,45 @@ def _moved(light: Picture, total: Picture, weights: Picture, faintest: float) ->
     return np.asarray((of > 1e-3) & (np.abs(around) > _DEVIATES * np.maximum(of, 1e-3)))
 
 
-def aligned_bracket(photos: Sequence[Photo]) -> Bracket | None:
-    """The bracket of photographs, aligned to the first; None if they are none."""
+def shared_curve(paths: Sequence[Path], *, fov: float | None = None) -> ToneCurve | None:
+    """The tone curve of a bracket's developed photographs; None with a linear one, or no bracket.
+
+    By single pixels of the files: downsampling averages glints that the curve has compressed, and
+    the shoulder would be found too strong (w off by 0.09 at half the resolution, not 0.02).
+    """
+    if any(file_kind(path) in (FileKind.RAW, FileKind.DNG) for path in paths):
+        return None
+    photos = [load_photo(path, long_side=_FINEST, fov=fov, noise=False) for path in paths]
+    if not all(photo.tone_mapped for photo in photos):
+        return None
+    bracket = aligned_bracket(photos, sampled=True)
+    return None if bracket is None else bracket.curves[0]
+
+
+def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracket | None:
+    """The bracket of photographs, aligned to the first; None if they are none.
+
+    Args:
+        photos: of the bracket.
+        sampled: of single pixels, on a grid of at most _COLUMNS.
+    """
     if not 2 <= len(photos) <= MOST:
         return None
     medians = sorted(math.log2(max(float(np.median(p.pixels[::4, ::4])), 1e-9)) for p in photos)
     if any(b - a < _LEAST_DARKER for a, b in zip(medians, medians[1:], strict=False)):
         return None
+    shape = photos[0].pixels.shape[:2]
     views = [_itself(photos[0])]
+    if sampled:
+        rows, columns = shape
+        shape = (round(rows * min(1.0, _COLUMNS / columns)), min(columns, _COLUMNS))
+        views = [_resampled(photos[0], np.eye(3), shape, cv2.INTER_NEAREST)]
+    how = cv2.INTER_NEAREST if sampled else cv2.INTER_CUBIC
     for photo in photos[1:]:
         homography = alignment(photos[0], photo)
         if homography is None or (way := way_of_camera(homography, photos[0], photo)) > _NEAR:
             return None
-        view = _resampled(photo, homography, photos[0].pixels.shape[:2])
+        view = _resampled(photo, homography, shape, how)
         views.append(replace(view, way=way))
     order = sorted(range(len(views)), key=lambda number: -float(np.median(views[number].grey)))
     factors, curve = {order[0]: 1.0}, None
@@ -501,8 +531,8 @@ def _itself(photo: Photo) -> _Aligned:
     )
 
 
-def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...]) -> _Aligned:
-    """A photograph on the pixels of another of shape (H, W)."""
+def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...], how: int) -> _Aligned:
+    """A photograph on the pixels of another of shape (H, W), interpolated as OpenCV names it."""
     rows, columns = shape
     own = photo.pixels.shape[1]
     # From pixel centres of the first, to units of widths, to those of the second.
@@ -517,7 +547,7 @@ def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...]) -> _Ali
             np.float32,
         )
 
-    pixels = np.maximum(seen(photo.pixels, cv2.INTER_CUBIC), 0.0)
+    pixels = np.maximum(seen(photo.pixels, how), 0.0)
     clipped = seen(photo.clipped.astype(np.float32), cv2.INTER_LINEAR) > 0.01
     near_clipped = clipped | (seen(_spread_clipping(photo), cv2.INTER_LINEAR) > 0.05)
     inside = seen(np.ones(photo.clipped.shape, np.float32), cv2.INTER_LINEAR, cv2.BORDER_CONSTANT)

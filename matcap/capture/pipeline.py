@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from matcap.capture.bracket import find_brackets, merge_bracket
+from matcap.capture.bracket import find_brackets, merge_bracket, shared_curve
 from matcap.capture.exemplar.estimate import KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import Method, Rectified, fit_photograph
@@ -38,7 +38,7 @@ from matcap.field.material import Latent, Material
 from matcap.flash.highlight import limit_sparkles
 from matcap.photo.left_out import leave_out
 from matcap.photo.load import load_photo
-from matcap.photo.photo import SHORTEST_SIDE, Photo
+from matcap.photo.photo import SHORTEST_SIDE, Photo, ToneCurve
 
 OnCapture = Callable[[CaptureProgress], None]
 
@@ -48,6 +48,7 @@ def read_photograph(
     settings: CaptureSettings,
     *,
     several: bool = False,
+    tone: ToneCurve | None = None,
 ) -> Photo:
     """Read a photograph for a capture: at its resolution, with crop and mask.
 
@@ -55,6 +56,7 @@ def read_photograph(
         path: of the photograph.
         settings: of the capture.
         several: whether it is one of several photographs of a sample.
+        tone: of a developed picture, if known.
 
     Raises:
         UsageError: the preset is unknown; the crop exceeds the photograph; a crop or mask is given
@@ -69,7 +71,9 @@ def read_photograph(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             "leave it out: what does not belong to the sample is detected",
         )
-    photo = load_photo(path, long_side=detail, fov=settings.fov, white=settings.white)
+    photo = load_photo(
+        path, long_side=detail, fov=settings.fov, white=settings.white, tone=tone
+    )
     if several and photo.left_out is not None:
         raise MatcapError.at(
             path,
@@ -134,8 +138,9 @@ def read_exposures(paths: Sequence[Path], settings: CaptureSettings, *, several:
     Crop and mask are of the first. Arguments and exceptions as of read_photograph.
     """
     whole = replace(settings, crop=None, mask=None)
-    photos = [read_photograph(paths[0], settings, several=several)]
-    photos += [read_photograph(path, whole, several=several) for path in paths[1:]]
+    tone = shared_curve(paths, fov=settings.fov) if len(paths) > 1 else None
+    photos = [read_photograph(paths[0], settings, several=several, tone=tone)]
+    photos += [read_photograph(path, whole, several=several, tone=tone) for path in paths[1:]]
     return merge_bracket(photos) if len(photos) > 1 else photos[0]
 
 

@@ -70,13 +70,18 @@ class Coded:
 
 
 def read_developed(
-    path: Path, kind: FileKind, long_side: int | None, white: float | None
+    path: Path,
+    kind: FileKind,
+    long_side: int | None,
+    white: float | None,
+    tone: ToneCurve | None = None,
 ) -> tuple[Decoded, Exif]:
     """Read a photograph by the reader of all pictures (files/pixels.py).
 
     Args:
         long_side: of the result, pixels, or None.
         white: value of white in floating point, by default 1.
+        tone: of a developed picture, if known; undone before downsampling.
 
     Raises:
         MatcapError: as pixels.decoded, or too small.
@@ -101,7 +106,7 @@ def read_developed(
         colours, notes = linear_colours(pixels)
         opacity = pixels.channel("A") if "A" in pixels.roles else None
         coded = replace(light(path, colours, white, pixels.notes + notes), opacity=opacity)
-    picture = decode(coded, long_side)
+    picture = decode(coded, long_side, tone)
     photo = replace(picture.photo, original_size=size)
     return replace(picture, photo=photo), exif
 
@@ -209,14 +214,18 @@ def clip_level(pixels: NDArray[np.float32], white: float) -> float:
     return min(levels)
 
 
-def decode(coded: Coded, long_side: int | None) -> Decoded:
-    """Convert to linear Rec.709, strip by strip, and downsample; `long_side` is in pixels."""
+def decode(coded: Coded, long_side: int | None, tone: ToneCurve | None = None) -> Decoded:
+    """Convert to linear Rec.709, strip by strip, without a tone curve if that is known, and
+    downsample; `long_side` is in pixels.
+    """
     codes, gain_map, scale = coded.codes, coded.gain_map, np.float32(1.0 / coded.white)
     height, width = codes.shape[:2]
     linearise, notes = coded.color.lineariser(codes.dtype)
     whole = np.issubdtype(codes.dtype, np.integer)
     clip_code = coded.clip_at * largest_code(codes.dtype)
     clip_code = np.ceil(clip_code) if whole else clip_code
+    linear = gain_map is None and _is_linear(linearise, codes.dtype)
+    tone = ToneCurve() if linear else tone
     at_limit = 0
 
     def read(top: int, bottom: int) -> Rows:
@@ -231,11 +240,11 @@ def decode(coded: Coded, long_side: int | None) -> Decoded:
         elif scale != 1.0:
             linear = linear * scale
         at_limit += int(np.count_nonzero(clipped))
-        return linear, clipped
+        return (linear if tone is None else tone.linear(linear)), clipped
 
     pixels, clipped = shrink(read, width, height, long_side)
     opacity, transparent = _opacity(coded, long_side)
-    linear = gain_map is None and _is_linear(linearise, codes.dtype)
+    headroom = _headroom(coded, linearise)
     photo = Photo(
         pixels,
         clipped,
@@ -243,8 +252,8 @@ def decode(coded: Coded, long_side: int | None) -> Decoded:
         (width, height),
         notes=coded.notes + notes + transparent + ((applied(gain_map),) if gain_map else ()),
         stored_clipped_share=at_limit / (width * height),
-        tone=ToneCurve() if linear else None,
-        headroom=_headroom(coded, linearise),
+        tone=tone,
+        headroom=headroom if tone is None else float(tone.linear(np.array(headroom))),
         floating=not whole,
         development=Development() if gain_map is None else WITH_GAIN_MAP,
     )

@@ -18,7 +18,7 @@ from matcap.photo.developed import read_developed
 from matcap.photo.dng import Corrections, read_corrections, read_float_dng
 from matcap.photo.exif import Exif, part_of_fov, phone_fov, read_exif
 from matcap.photo.left_out import leave_transparent_out
-from matcap.photo.photo import SHORTEST_SIDE, Decoded, Photo, quarter_turn
+from matcap.photo.photo import SHORTEST_SIDE, Decoded, Photo, ToneCurve, quarter_turn
 from matcap.photo.raw import read_raw
 from matcap.photo.raw_samples import raw_page
 
@@ -87,6 +87,7 @@ def load_photo(
     fov: float | None = None,
     noise: bool = True,
     white: float | None = None,
+    tone: ToneCurve | None = None,
 ) -> Photo:
     """Read a photograph.
 
@@ -97,6 +98,8 @@ def load_photo(
         fov: field of view across the long side, degrees; None is the file's, or phone_fov().
         noise: compute Photo.noise of a RAW, for which it is developed twice.
         white: value of white in a file of floating-point numbers; None is the file's, or 1.
+        tone: curve of a developed picture, if known; undone before downsampling, as a mean of
+            compressed values is not that of light.
 
     Returns:
         The photograph in linear light, its long side along x.
@@ -108,16 +111,16 @@ def load_photo(
     path = Path(path)
     _check_request(long_side, fov, white)
     with quiet_decoders():
-        picture, exif = _read(path, long_side, noise, white)
+        picture, exif = _read(path, long_side, noise, white, tone)
     return replace(_photo(picture, exif, fov, str(path), path.name), path=path.absolute())
 
 
 def _read(
-    path: Path, long_side: int | None, noise: bool, white: float | None
+    path: Path, long_side: int | None, noise: bool, white: float | None, tone: ToneCurve | None
 ) -> tuple[Decoded, Exif]:
     kind = file_kind(path)
     if kind not in (FileKind.RAW, FileKind.DNG):
-        return read_developed(path, kind, long_side, white)
+        return read_developed(path, kind, long_side, white, tone)
     corrections = read_corrections(path) if kind is FileKind.DNG else Corrections()
     if corrections.samples == "floating":
         picture = read_float_dng(path, long_side, corrections, white)

@@ -38,8 +38,9 @@ class Development:
 
 
 # Base and HDR gain map together: the shoulder is undone, and dark tones are as in the base, which
-# has nearly no gain there.
-WITH_GAIN_MAP = Development(0.04, 0.05, 0.0)
+# has nearly no gain there. A wider prior takes a part of every highlight for contrast: log
+# exponents of 0.05 to 0.10 where it is 0 (docs/notes/gloss.md).
+WITH_GAIN_MAP = Development(0.01, 0.02, 0.0)
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def fit_ratio(
     first, second = tones
     if first.linear and second.linear:
         steps = np.log(z) - np.log(y)
-        log_k = float(steps.mean())
+        log_k = float(np.median(steps))  # the brightest tones are means that clipping lowers
         return ExposureRatio(math.exp(log_k), None, _spread(steps - log_k))
     if first.linear or second.linear:
         return _against_light(y, z, tones)
