@@ -229,7 +229,7 @@ def _generator(seed):
 def test_relief_is_no_wider_than_the_highlight(
     roughness: float, steeper: float, least: float, most: float
 ) -> None:
-    shot = photographed(0.02, 0.1)
+    shot = photographed(0.02, 0.1, width=320, height=240)
     uniform = replace(shot.uniform, roughness=roughness)
     maps = replace(shot.maps, roughness=torch.full_like(shot.maps.roughness, roughness))
     linear = render_flash(maps, uniform.setup, shot.points)
