@@ -81,3 +81,14 @@ def a_coloured_example():
 def ordered(width=240, height=200, periods=PERIODS, bend=0.1):
     waves = ((1 / periods[0], 0.0), (0.0, 1 / periods[1]))
     return Example.of(bricks(width, height, periods, bend), waves)
+
+
+@cache
+def large_blobs():
+    return Example.of(blobs(512, 384))
+
+
+@cache
+def varied(made, variety):
+    """The example that `made` makes, of another variety."""
+    return made().varied(variety)

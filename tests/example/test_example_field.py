@@ -4,12 +4,13 @@ import random
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import plain_loops as plain
 import pytest
 import torch
-from exemplars import PERIODS, a_coloured_example, an_example, blobs, exemplar, ordered
+from exemplars import PERIODS, a_coloured_example, an_example, blobs, exemplar, ordered, varied
 from materials import a_material
 from plain_loops import DIAGONALS, PHASE_SHIFT, SIMILAR_TIMES
 
@@ -38,12 +39,12 @@ from matcap.synth.request import SynthRequest
 
 _HALF = 0.4
 _KINDS = {
-    "blobs": an_example(),
-    "bricks": ordered(),
-    "large-blobs": an_example().varied(_HALF),
-    "large-bricks": ordered().varied(_HALF),
+    "blobs": an_example,
+    "bricks": ordered,
+    "large-blobs": partial(varied, an_example, _HALF),
+    "large-bricks": partial(varied, ordered, _HALF),
 }
-EXAMPLES = pytest.mark.parametrize("example", _KINDS.values(), ids=_KINDS)
+EXAMPLES = pytest.mark.parametrize("example", _KINDS.values(), ids=_KINDS, indirect=True)
 
 
 @pytest.mark.parametrize(
@@ -53,9 +54,10 @@ EXAMPLES = pytest.mark.parametrize("example", _KINDS.values(), ids=_KINDS)
         (_KINDS["bricks"], 2**40 - 300),
         (_KINDS["large-blobs"], 0),
         (_KINDS["large-bricks"], 2**40 - 300),
-        (an_example().varied(0.0), 2**31),
+        (partial(varied, an_example, 0.0), 2**31),
     ],
     ids=[*_KINDS, "repeated"],
+    indirect=["example"],
 )
 def test_any_rectangle_order_and_count_of_workers_gives_the_same_bits(example, place):
     source = replace(example.source(5), grid=Grid(96, 64))
@@ -380,13 +382,13 @@ def halves(piece, left, right, alike=UNLIKE):
     return found, piece.stacked()[:, own[..., 1], own[..., 0]]
 
 
-@pytest.mark.parametrize("example", [an_example, a_coloured_example, ordered])
+@pytest.mark.parametrize("example", [an_example, a_coloured_example, ordered], indirect=True)
 @pytest.mark.parametrize("period", [None, (176, 144), (48, 80)])
 def test_the_compiled_loop_equals_the_plain_one_bit_for_bit(example, period, monkeypatch):
     area = Rectangle(-37, 501, 90, 70)
-    found = example().maps(3, area, period)
+    found = example.maps(3, area, period)
     monkeypatch.setattr("matcap.example.example.blended", plain.blended)
-    assert np.array_equal(found, example().maps(3, area, period))
+    assert np.array_equal(found, example.maps(3, area, period))
 
 
 def test_compiled_blending_equals_the_plain_one(monkeypatch):

@@ -1,12 +1,13 @@
 """The index of an exemplar, its variety and fine lattices."""
 
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 import plain_loops as plain
 import pytest
 import torch
-from exemplars import an_example, blobs, exemplar, ordered, reread
+from exemplars import an_example, blobs, exemplar, large_blobs, ordered, reread, varied
 from materials import a_material
 
 from matcap.brdf.folder import read_mapset
@@ -41,7 +42,7 @@ def features():
     return features_of(planes, choose_scale(planes))
 
 
-@pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+@pytest.mark.parametrize("example", [an_example, ordered], indirect=True)
 def test_a_file_gives_back_the_same_field(example):
     again = reread(example)
     area = Rectangle(5, -9, 70, 50)
@@ -98,7 +99,7 @@ def test_the_compiled_projection_is_the_plain_one(step):
     assert np.array_equal(project(found, basis), plain.project(found, basis))
 
 
-@pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+@pytest.mark.parametrize("example", [an_example, ordered], indirect=True)
 def test_the_compiled_correction_is_the_plain_one_from_any_beginning(example):
     random = np.random.default_rng(4)
     for level in prepare(example.exemplar, example.index).levels:
@@ -205,7 +206,7 @@ def joined(example, side=384):
     return float((np.diff(places, axis=1) == [1, 0]).all(-1).mean())
 
 
-@pytest.mark.parametrize("example", [an_example(), ordered()], ids=["blobs", "bricks"])
+@pytest.mark.parametrize("example", [an_example, ordered], indirect=True)
 def test_less_variety_has_larger_patches(example):
     shares = [joined(example.varied(variety)) for variety in (0.0, 0.3, 1.0)]
     assert shares[0] > shares[1] > shares[2]
@@ -224,7 +225,7 @@ def test_patches_shrink_from_the_whole_frame_to_the_least_size():
 
 
 def test_large_patches_show_all_of_the_exemplar_equally_often():
-    example = Example.of(blobs(512, 384)).varied(0.3)
+    example = large_blobs().varied(0.3)
     frame = example.lookup.joined
     x, y = example.places(2, Rectangle(0, 0, 2048, 2048), None)[::4, ::4].reshape(-1, 2).T
     sides = (np.linspace(frame.left, frame.right, 5), np.linspace(frame.top, frame.bottom, 5))
@@ -233,7 +234,7 @@ def test_large_patches_show_all_of_the_exemplar_equally_often():
 
 
 @pytest.mark.parametrize(
-    "example", [Example.of(blobs(512, 384)), ordered(512, 384)], ids=["blobs", "bricks"]
+    "example", [large_blobs, partial(ordered, 512, 384)], ids=["blobs", "bricks"], indirect=True
 )
 def test_the_least_variety_repeats_the_exemplar(example):
     example = example.varied(0.0)
@@ -306,8 +307,12 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "example",
-    [ordered().varied(0.3), ordered(480, 320, (24.0, 24.0), 0.5).varied(0.1)],
+    [
+        partial(varied, ordered, 0.3),
+        lambda: ordered(480, 320, (24.0, 24.0), 0.5).varied(0.1),
+    ],
     ids=["nearly-straight", "bent"],
+    indirect=True,
 )
 def test_a_lattice_keeps_its_phase_in_large_patches(example):
     lattice = example.index.lattice
@@ -331,6 +336,7 @@ def test_jumps_of_the_phase_are_not_taken_for_bending(bend, spread, bent):
     assert replace(lattice, phase_offsets=moved).is_bent == bent
 
 
+@cache
 def stripes(width=512, height=384):
     """Boards as long as the photograph, each of its own colour, some 25 texels wide."""
     random = np.random.default_rng(4)
@@ -339,6 +345,11 @@ def stripes(width=512, height=384):
     colour = random.standard_normal(60)[board]
     grain = 0.1 * random.standard_normal((4, height, width))
     return exemplar(np.stack([colour, colour, 0.3 * colour, np.zeros_like(colour)]) + grain)
+
+
+@cache
+def boards():
+    return Example.of(stripes())
 
 
 def plaid():
@@ -352,7 +363,7 @@ def plaid():
 @pytest.mark.parametrize("waves", [(), ((0.2, 0.0), (0.0, 0.2))], ids=["plain", "lattice"])
 def test_a_plaid_repeats_whole_and_boards_do_not(waves):
     assert with_chosen_variety(Example.of(plaid(), waves)).variety == 0.0
-    assert not is_plaid(Example.of(stripes()))
+    assert not is_plaid(boards())
 
 
 def test_a_cloth_of_uneven_threads_is_no_plaid():
@@ -368,12 +379,11 @@ def test_a_lattice_of_large_cells_is_no_plaid():
 
 
 def test_only_long_structures_get_large_patches():
-    assert with_chosen_variety(Example.of(blobs(512, 384))).variety == 1.0
-    boards = Example.of(stripes())
-    long, tries = variety_trials(boards)
+    assert with_chosen_variety(large_blobs()).variety == 1.0
+    long, tries = variety_trials(boards())
     first, *_, last = tries
     assert long > 0.1 and last.lost < 0.8 * first.lost
-    assert with_chosen_variety(boards).variety < 1.0
+    assert with_chosen_variety(boards()).variety < 1.0
 
 
 def test_the_summary_states_the_patch_size():
@@ -392,6 +402,7 @@ WAVES = ((0.16, 0.02), (-0.03, 0.18))
 WIDTH, HEIGHT = 512, 384
 
 
+@cache
 def woven(bend=0.0, contrast=0.0, noise=0.0):
     """An exemplar with a weave of some six texels, displaced by `bend` texels, at most twice.
 
@@ -457,17 +468,17 @@ def test_the_shortest_waves_of_a_lattice_are_followed():
 
 
 @pytest.mark.parametrize(
-    ("exemplar", "waves"),
+    ("form", "waves"),
     [
-        (woven(bend=0.5), WAVES),  # straight
-        (woven(bend=12.0), WAVES[:1]),  # stripes
-        (woven(bend=12.0, noise=20.0), WAVES),  # lost in noise
-        (woven(bend=12.0), ((0.05, 0.0), (0.0, 0.05))),  # coarse: lattice.py follows its bend
-        (woven(bend=12.0), ()),
+        ({"bend": 0.5}, WAVES),  # straight
+        ({"bend": 12.0}, WAVES[:1]),  # stripes
+        ({"bend": 12.0, "noise": 20.0}, WAVES),  # lost in noise
+        ({"bend": 12.0}, ((0.05, 0.0), (0.0, 0.05))),  # coarse: lattice.py follows its bend
+        ({"bend": 12.0}, ()),
     ],
 )
-def test_exemplars_without_a_fine_lattice_are_not_straightened(exemplar, waves):
-    assert straightened(exemplar, waves) is None
+def test_exemplars_without_a_fine_lattice_are_not_straightened(form, waves):
+    assert straightened(woven(**form), waves) is None
 
 
 def test_a_capture_keeps_the_maps_beside_the_photograph():

@@ -58,6 +58,7 @@ def test_the_plane_and_the_relief_are_in_metres(tmp_path, made, monkeypatch, uni
 # Binaries and stages as three.js draws them, against `matcap relight`.
 
 
+@pytest.mark.programs
 @pytest.mark.parametrize(
     ("target", "suffix", "limit", "result"),
     [

@@ -53,6 +53,7 @@ def test_a_shader_is_generated_from_the_document(tmp_path, made, read_materialx)
     assert "mx_layer_bsdf(closureData" not in code
 
 
+@pytest.mark.programs
 @pytest.mark.parametrize(
     ("variant", "limit"), [("", 1e-3), ("_openpbr", 0.01), ("_standard_surface", 0.01)]
 )

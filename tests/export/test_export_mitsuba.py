@@ -23,6 +23,7 @@ def test_every_texture_of_the_scene_exists(tmp_path, made, material, fewest):
         assert all(one["format"] == "variant" for one in stated)
 
 
+@pytest.mark.programs
 @pytest.mark.parametrize("scene", ["{}.xml", "{}_exact.xml"])
 def test_mitsubas_rendering_equals_that_of_matcap(tmp_path, made, scene, monkeypatch):
     mi = pytest.importorskip("mitsuba", reason="needs the extra `reference`")

@@ -129,6 +129,7 @@ def traced(field, spp=512, around=2):
     return np.array(mi.render(mi.load_dict(scene), spp=spp))[..., 0] / grey
 
 
+@pytest.mark.programs
 @pytest.mark.parametrize("relief", RELIEFS)
 def test_occlusion_equals_that_of_a_path_tracer(relief):
     pytest.importorskip("mitsuba", reason="Mitsuba is not installed")

@@ -34,6 +34,7 @@ from matcap.view.document import sealed_page
 from matcap.view.pages import EncodedPicture
 from matcap.view.subject import Maps, Materials
 
+pytestmark = pytest.mark.programs
 PLANES = [
     pytest.param(512, 512, WIDTH, 0.0, id="texel for pixel, across block borders"),
     pytest.param(2**40 - 700, -700, WIDTH, 1.0, id="far away"),

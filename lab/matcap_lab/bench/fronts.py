@@ -20,7 +20,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
@@ -30,8 +29,6 @@ from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.field.material import Material
-from matcap.files.color import srgb_decode
-from matcap.files.pixels import write_picture
 from matcap_lab.bench import relight
 from matcap_lab.experiment import clocked
 from matcap_lab.experiment.page import Presentation
@@ -59,7 +56,6 @@ _FINEST = 4  # likewise, of photographs of 12 megapixels
 _NINE = ("granite", "leather", "plaster", "asphalt10")  # of which nine are taken; else five
 # Enough for 1024 texels; shaded as finely as its pixels are, for five and nine cost a minute else.
 _CAMERA = PhoneCamera(1200, 900, supersampling=1)
-_SHOWN = (1, 3)  # of the lights, on sheets
 _INSPECTED = 1024  # texels
 _CAPTURE = "from matcap.cli.start import run; run()"
 
@@ -142,7 +138,7 @@ class Fronts:
     """Subjects and configurations to measure."""
 
     out: Path
-    """Folder of photographs, sheets, reports and the table."""
+    """Folder of photographs, reports and the table."""
 
     sets: Path | None = None
     """Folder of map sets."""
@@ -187,7 +183,6 @@ class FrontSubject:
 class CommandOutcome:
     """Output and cost of a command."""
 
-    way: str
     seed: int
     photographed: FrontSubject
     material: Material
@@ -230,7 +225,7 @@ def fronts_experiment(bench: Fronts) -> Experiment[At, CommandOutcome]:
             name: Configuration(partial(_capture, name, way, bench.out), way.group)
             for name, way in chosen.items()
         },
-        (spent, errors, verdicts, partial(sheet, bench.out)),
+        (spent, errors, verdicts),
         bench.seeds,
         lambda subject, name: WAYS[name].photographs > counts[subject],
         any_version=True,
@@ -266,13 +261,6 @@ def verdicts(_at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
     return {"verdict": outcome.verdict, "seen": outcome.photographed.seen}
 
 
-def sheet(out: Path, _at: At, outcome: CommandOutcome) -> Mapping[str, Value]:
-    """No column: a picture of the field under two lights, for `matcap-lab bench pairs`."""
-    name = _kept_as(outcome.way, outcome.seed)
-    _write_sheet(out, outcome.photographed.name, name, outcome.pictures)
-    return {}
-
-
 def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) -> FrontSubject:
     """Photograph a material, and relight other samples of it."""
     usual = bench.settings.camera
@@ -294,7 +282,6 @@ def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) ->
         finer=max(1, settings.finer // times),
     )
     evaluator = Evaluator(taken.specimen, flash, settings, styles)
-    _write_sheet(bench.out, specimen.name, "truth", evaluator.pictures[0])
     fine = Evaluator(taken.specimen, flash, finer, styles)
     return FrontSubject(specimen.name, paths, evaluator, fine, _inspected(paths[0]))
 
@@ -318,7 +305,7 @@ def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcom
         report = path.with_name("report.json")
         kept = out / "reports" / photographed.name.replace(":", "-")
         verdict = _reported(report, kept / f"{_kept_as(name, seed)}.json")
-    return CommandOutcome(name, seed, photographed, material, used, verdict)
+    return CommandOutcome(seed, photographed, material, used, verdict)
 
 
 def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) -> list[str]:
@@ -346,7 +333,7 @@ def command_spent(command: Sequence[str]) -> dict[str, float]:
 
 
 def _kept_as(name: str, seed: int) -> str:
-    """File stem of a capture's sheet and report."""
+    """File stem of a capture's report."""
     return name if seed == 0 else f"{name}, seed {seed}"
 
 
@@ -359,15 +346,6 @@ def _reported(report: Path, kept: Path) -> str:
     kept.write_text(text, encoding="utf-8")
     verdict: dict[str, Any] = json.loads(text)["verdict"]
     return str(verdict["sentence"]).partition(". ")[0]
-
-
-def _write_sheet(out: Path, subject: str, name: str, pictures: Tensor) -> None:
-    """Write a PNG of the pictures under two of the lights, one above the other."""
-    folder = out / "sheets" / subject.replace(":", "-")
-    folder.mkdir(parents=True, exist_ok=True)
-    shown = torch.cat([pictures[light] for light in _SHOWN], dim=1)
-    linear = srgb_decode(shown.permute(1, 2, 0).contiguous().numpy())
-    write_picture(linear.astype("float32"), folder / f"{name}.png")
 
 
 # Tables that `matcap-lab bench report` presents.

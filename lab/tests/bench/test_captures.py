@@ -65,7 +65,7 @@ def captures(monkeypatch):
 
     monkeypatch.setattr(fronts, "_capture", capture)
     monkeypatch.setattr(fronts, "_photographed", lambda specimen, *_: specimen.name)
-    for name in ("spent", "verdicts", "sheet"):
+    for name in ("spent", "verdicts"):
         monkeypatch.setattr(fronts, name, lambda *_: {})
     monkeypatch.setattr(fronts, "errors", lambda _at, error: {"field": error})
     return asked

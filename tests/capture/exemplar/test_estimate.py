@@ -229,7 +229,7 @@ def _generator(seed):
 def test_relief_is_no_wider_than_the_highlight(
     roughness: float, steeper: float, least: float, most: float
 ) -> None:
-    shot = photographed(0.02, 0.1)
+    shot = photographed(0.02, 0.1, width=320, height=240)
     uniform = replace(shot.uniform, roughness=roughness)
     maps = replace(shot.maps, roughness=torch.full_like(shot.maps.roughness, roughness))
     linear = render_flash(maps, uniform.setup, shot.points)
@@ -405,7 +405,7 @@ def test_the_material_holds_its_exemplar(folder: Path) -> None:
 @pytest.mark.capture
 def test_an_exemplar_is_blended_with_a_decoder(folder: Path) -> None:
     material = Material.load(folder / f"{folder.name}.matcap")
-    drawn = a_material("drawn", across=512)
+    drawn = a_material("drawn", across=256)
     between = blend(material, drawn, 0.5)
     assert set(between.generators) == {"example"}
     assert between.texel_size == pytest.approx((material.texel_size * drawn.texel_size) ** 0.5)

@@ -4,7 +4,7 @@ import pytest
 from seen_views import photographed
 from simulated.photographs import PhoneCamera
 
-PHONE = PhoneCamera(width=640, height=480, supersampling=1)
+PHONE = PhoneCamera(width=480, height=360, supersampling=1)
 
 
 @pytest.fixture(scope="session")

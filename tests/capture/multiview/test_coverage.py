@@ -128,6 +128,7 @@ def test_numbered_names_are_a_series():
         assert not are_a_series(stems)
 
 
+@pytest.mark.usefixtures("one_coarse_fit")
 def test_inspect_checks_sets(tmp_path, capsys):
     phone, hand = PhoneCamera(width=320, height=240, supersampling=1), Hand()
     cameras = hold(phone, hand, 2, 5)

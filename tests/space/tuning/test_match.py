@@ -185,6 +185,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
     assert not nothing.shift.any()
 
 
+@pytest.mark.usefixtures("one_coarse_fit")
 def test_captures_but_drafts_end_with_matching():
     setup = SETUP.with_intensity((3.0, 3.0, 3.0))
     shot = take(piece("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
