@@ -21,7 +21,7 @@ PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity", "flash_of
 
 _UNDETERMINED = "one photograph leaves open what of it is colour, gloss and relief"
 _AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width", "highlight_residue"})
-_IN_TEXTURE = frozenset({"texture", "contrast", "pattern"})
+_IN_TEXTURE = frozenset({"texture", "contrast", "pits", "pattern"})
 # What a fault of the photograph explains, by its check; the first is the likeliest.
 _BY_PHOTOGRAPH = {
     "clipped": _AT_HIGHLIGHT | {"colour"},
@@ -188,6 +188,9 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield CHECKS["colour"].finding(max(map(abs, seen.colour)))
     yield CHECKS["texture"].finding(seen.texture)
     yield _contrast(seen)
+    # Shallower spots are of a weaker texture.
+    pits = CHECKS["pits"].finding(max(1.0, seen.pits))
+    yield replace(pits, where=seen.regions.get("pits"))
     yield _pattern(seen)
     yield from _exemplar(seen.exemplar)
 
