@@ -89,21 +89,17 @@ class PlainCommand(TyperCommand):
                 param.hidden = True  # the epilogue says it
         return params
 
-    @property
-    def _many(self) -> bool:
-        panels = {getattr(param, "rich_help_panel", None) for param in self.params}
-        return bool({DECODER, ADVANCED} & panels)
-
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
         """Print the help."""
         paragraphs = (self.help or "").split("\n\n")
         self.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
         self.epilog = f"More of each option: docs/reference/commands.md, matcap {self.name}."
         options = [param for param in self.params if isinstance(param, TyperOption)]
+        many = any(param.rich_help_panel in (DECODER, ADVANCED) for param in options)
         others: dict[str, list[str]] = {name: [] for name in GROUPS[1:]}
         for param in options:
             param.help = re.split(r"[.;] ", param.help or "")[0].rstrip(".") + "."
-            if self._many:
+            if many:
                 param.rich_help_panel = param.rich_help_panel or EVERYDAY
                 param.hidden = not self._whole and param.rich_help_panel != EVERYDAY
             if param.hidden:

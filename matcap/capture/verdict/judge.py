@@ -120,7 +120,8 @@ def judge(seen: Measurements) -> CaptureVerdict:
 
 def _placed(finding: Finding, seen: Measurements) -> Finding:
     """The finding with the region of the picture where it is seen."""
-    place = "highlight" if finding.name in _AT_HIGHLIGHT else "texture"
+    place = finding.name if finding.name in seen.regions else "texture"
+    place = "highlight" if finding.name in _AT_HIGHLIGHT else place
     if finding.where is not None or finding.name not in _AT_HIGHLIGHT | _IN_TEXTURE:
         return finding
     return replace(finding, where=seen.regions.get(place))
@@ -189,8 +190,7 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield CHECKS["texture"].finding(seen.texture)
     yield _contrast(seen)
     # Shallower spots are of a weaker texture.
-    pits = CHECKS["pits"].finding(max(1.0, seen.pits))
-    yield replace(pits, where=seen.regions.get("pits"))
+    yield CHECKS["pits"].finding(max(1.0, seen.pits))
     yield _pattern(seen)
     yield from _exemplar(seen.exemplar)
 
@@ -256,8 +256,8 @@ def _contrast(seen: Measurements) -> Finding:
     band = max(factors, key=lambda name: abs(math.log(factors[name])))
     factor = factors[band]
     says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
-    found = CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
-    return replace(found, where=seen.regions.get(band))
+    contrast = CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
+    return replace(contrast, where=seen.regions.get(band))
 
 
 def _pattern(seen: Measurements) -> Finding:
