@@ -263,15 +263,20 @@ class BatchSettings(CheckedSettings):
     """Settings of every capture."""
     outputs: OutputSettings = OutputSettings()
     """Settings of every capture's outputs."""
-    group: str = setting("name", words=("none", "name", "dir", "time"))
+    group: str = setting("name", words=("none", "name", "dir", "time"), group="Several photographs")
     """Which photographs show one sample."""
-    gap: float = setting(10.0, least=0.0, most=1e9)
+    gap: float = setting(10.0, least=0.0, most=1e9, group="Several photographs")
     """Seconds between two shots of one sample, with group time."""
     jobs: int | None = setting(
-        None, least=1, most=1024, short="-j", otherwise="as cores and memory allow"
+        None,
+        least=1,
+        most=1024,
+        short="-j",
+        otherwise="as cores and memory allow",
+        group="Advanced",
     )
     """Worker processes."""
-    card: str = setting("auto", metavar="auto|none|PATH")
+    card: str = setting("auto", metavar="auto|none|PATH", group="Advanced")
     """Photograph of a calibration card; auto is the one in the folder whose name begins so."""
 
     @staticmethod

@@ -265,7 +265,8 @@ class Bracket:
 
     def _notes(self) -> tuple[str, ...]:
         others = [
-            f"{view.photo.name} ({stops - self.stops[0]:+.1f} stops darker)"
+            f"{view.photo.name} ({abs(stops - self.stops[0]):.1f} stops "
+            f"{'darker' if stops > self.stops[0] else 'brighter'})"
             for view, stops in zip(self.views[1:], self.stops[1:], strict=True)
         ]
         own = (f"{v.photo.name}: {note}" for v in self.views[1:] for note in v.photo.notes)

@@ -5,7 +5,7 @@ tilt.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -74,17 +74,6 @@ def tilt_document(coarse: CoarseFit) -> dict[str, Any] | None:
         "branch": _degrees(coarse.tilt_prior.mean),
         "branch_std": _degrees(coarse.tilt_prior.std),
     }
-
-
-def tilt_line(document: Mapping[str, Any]) -> str:
-    """One sentence from a tilt_document."""
-    x, y = document["used"]
-    bx, by = document["branch"]
-    sx, sy = document["branch_std"]
-    return (
-        f"Tilt about x and y: {x:.1f} and {y:.1f} degrees; the alignment branch says {bx:.1f} "
-        f"and {by:.1f} (standard deviations {sx:.1f} and {sy:.1f})."
-    )
 
 
 def _degrees(angles: Sequence[float]) -> list[float]:

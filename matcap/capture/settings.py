@@ -89,14 +89,14 @@ class CaptureSettings(CheckedSettings):
     """
 
     preset: str = setting("standard", words=tuple(PRESETS))
-    """Texels across: instant (512, a preview), draft (1024) or standard (2048), which fine-tunes a
-    decoder, too. A decoder alone has 1024, and 0, 32 or 112 steps of fine-tuning."""
+    """Texels across: 512, 1024, or 2048 and a decoder. Instant is a preview; a decoder alone has
+    1024, and 0, 32 or 112 steps of fine-tuning."""
     steps: int | None = setting(None, least=0, most=10_000_000, group="Decoder")
     """With the decoder: steps of fine-tuning, instead of the preset's."""
     time_limit: float | None = setting(
         None, least=0.001, most=1e7, option="time", metavar="TIME", parse=values.duration
     )
-    """Time limit of the whole capture: 90s, 2m. It determines the texels instead of the preset and,
+    """Time limit of it all: 90s, 2m. It determines the texels instead of the preset and,
     without --steps, the steps of a decoder; one that this machine cannot keep is refused."""
     detail: int | None = setting(
         None, least=64, most=8192, otherwise="the preset's", group="Advanced"
@@ -134,7 +134,7 @@ class CaptureSettings(CheckedSettings):
     """Length of the sample along the photograph's long side, centimetres: exports are true to
     scale."""
     crop: Rectangle | None = setting(None, metavar="x,y,w,h", parse=values.region)
-    """Rectangle of the photograph to capture, pixels of the photograph as displayed."""
+    """Rectangle to capture, pixels of the photograph as displayed."""
     mask: Path | None = setting(None, metavar="FILE.png", group="Advanced")
     """Picture of the photograph's size: white is captured, black (a finger, a label, the table's
     edge) is left out."""
@@ -215,7 +215,7 @@ class CaptureSettings(CheckedSettings):
 class InspectSettings(CheckedSettings):
     """Settings of `matcap inspect`."""
 
-    detail: int = setting(DETAIL, least=64, most=8192)
+    detail: int = setting(DETAIL, least=64, most=8192, group="Advanced")
     """Pixels along the long side at which to read the photographs."""
     details: bool = setting(False)
     """All checks of each photograph, as of a single one; by default a line for each of several."""
@@ -249,8 +249,8 @@ class OutputSettings(CheckedSettings):
     tile: bool | None = setting(None, otherwise="if the sides are multiples of 16", group="Output")
     """Make a first map set that repeats without a seam."""
     maps: Literal["png", "jpg"] | None = setting(None, words=("png", "jpg"))
-    """Also base colour, metallic, roughness, normal, height and ambient occlusion for engines, in
-    the folder `maps`."""
+    """Also write what engines want, in the folder `maps`. This is base colour, metallic, roughness,
+    normal, height and ambient occlusion."""
     png: bool = setting(False, group="Output")
     """Write 16-bit PNGs in addition to EXR files."""
     normal: NormalStyle = setting("gl", words=("gl", "dx"), group="Output")

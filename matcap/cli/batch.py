@@ -13,6 +13,7 @@ import typer
 from matcap.batch.samples import BatchSettings
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.cli.options import (
+    ADVANCED,
     NOTHING,
     Fields,
     Given,
@@ -37,19 +38,30 @@ def batch(
     given: Annotated[Given, Fields(CaptureSettings, OutputSettings, BatchSettings)] = NOTHING,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Address of a dask scheduler, tcp://host:8786."),
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a dask scheduler, tcp://host:8786.",
+            rich_help_panel=ADVANCED,
+        ),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only print the plan, its time and its disk space.")
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Capture again what is already captured.")
+        bool,
+        typer.Option(
+            "--force", help="Capture again what is already captured.", rich_help_panel=ADVANCED
+        ),
     ] = False,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Capture again what failed before.")
+        bool,
+        typer.Option(
+            "--retry-failed", help="Capture again what failed before.", rich_help_panel=ADVANCED
+        ),
     ] = False,
     fail_fast: Annotated[
-        bool, typer.Option("--fail-fast", help="End at the first failure.")
+        bool,
+        typer.Option("--fail-fast", help="End at the first failure.", rich_help_panel=ADVANCED),
     ] = False,
     overwrite: OverwriteOption = False,
     strict: StrictOption = False,

@@ -45,11 +45,11 @@ def capture(
         list[Path],
         typer.Argument(
             metavar="PHOTO...",
-            help="RAW (DNG, ...), JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR.",
+            help="RAW, JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR.",
         ),
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="A folder for each photograph's folder.")
+        Path, typer.Option("--out", "-o", help="Each photograph gets a folder here.")
     ] = Path("out"),
     given: Annotated[Given, Fields(CaptureSettings, OutputSettings)] = NOTHING,
     together: Annotated[

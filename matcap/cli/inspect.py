@@ -159,14 +159,11 @@ def _photo(
 ) -> tuple[dict[str, Any], Inspection, list[str]]:
     """Checks of a photograph for JSON, and themselves, with lines of what else is measured."""
     from matcap.capture.inspection import inspect_file
-    from matcap.capture.rectified import tilt_line
 
     inspected = inspect_file(path, detail, fov, white)
     quality, relief = inspected.quality, inspected.relief_spectrum
     spectrum = relief.document() if relief else None
     lines = [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
-    if inspected.tilt is not None:
-        lines.append(f"     {'tilt from':<13} {tilt_line(inspected.tilt)}")
     document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
     return document, quality, lines
 

@@ -20,7 +20,7 @@ import typer
 from typer.core import TyperCommand
 
 from matcap.cli import batch, capture, doctor, export, inspect, relight, synth, view
-from matcap.cli.options import PlainCommand
+from matcap.cli.options import ALL, PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
 from matcap.files.process import ignore_signals, raise_on_signals
@@ -51,6 +51,7 @@ app.command("sample")(synth.sample)
 app.command("doctor")(doctor.doctor)
 for _command in app.registered_commands:
     _command.cls = PlainCommand if _command.cls is TyperCommand else _command.cls
+    _command.context_settings = {"help_option_names": ["--help", ALL]}
 
 
 def _print_version(wanted: bool) -> None:

@@ -21,6 +21,7 @@ from matcap.files.settings import Setting, number, settings_in
 
 GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
 EVERYDAY, SEVERAL, OUTPUT, DECODER, ADVANCED = GROUPS
+ALL = "--help-all"
 _ENDLESS = 1e5  # end of a range that help does not show
 T = TypeVar("T")
 
@@ -66,17 +67,26 @@ def printer(*, quiet: bool) -> Callable[[str], None]:
 class PlainCommand(TyperCommand):
     """Typer's command: options in groups, the everyday ones first, a sentence each.
 
-    The reference page has the whole texts. Flags have no `<bool>`, paragraphs no line breaks.
+    Of a command with many, `--help` shows the everyday ones and names the others, which
+    `--help-all` shows. The reference page has the whole texts. Flags have no `<bool>`, paragraphs
+    no line breaks.
     """
 
+    _whole = False
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+        """Parse the arguments; `--help` and `--help-all` are one option."""
+        self._whole = ALL in args
+        return super().parse_args(ctx, args)
+
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401
-        """All parameters including `--help`, flags without a type."""
+        """All parameters, flags without a type, `--help` hidden."""
         params = super().get_params(ctx)
         for param in params:
             if getattr(param, "is_flag", False) and param.metavar is None:
                 param.metavar = ""
-            if isinstance(param, TyperOption) and param.name == "help":
-                param.rich_help_panel = ADVANCED
+            if isinstance(param, TyperOption) and ALL in param.opts:
+                param.hidden = True  # the epilogue says it
         return params
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
@@ -85,11 +95,18 @@ class PlainCommand(TyperCommand):
         self.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
         self.epilog = f"More of each option: docs/reference/commands.md, matcap {self.name}."
         options = [param for param in self.params if isinstance(param, TyperOption)]
-        if any(param.rich_help_panel == DECODER for param in options):
-            for param in options:
-                param.rich_help_panel = param.rich_help_panel or EVERYDAY
+        many = any(param.rich_help_panel in (DECODER, ADVANCED) for param in options)
+        others: dict[str, list[str]] = {name: [] for name in GROUPS[1:]}
         for param in options:
             param.help = re.split(r"[.;] ", param.help or "")[0].rstrip(".") + "."
+            if many:
+                param.rich_help_panel = param.rich_help_panel or EVERYDAY
+                param.hidden = not self._whole and param.rich_help_panel != EVERYDAY
+            if param.hidden:
+                others[str(param.rich_help_panel)].append(param.opts[0])
+        if any(others.values()):
+            named = (f"{name.lower()}: {', '.join(own)}" for name, own in others.items() if own)
+            self.epilog = f"By {ALL} also {'; '.join(named)}."
         panels = [getattr(param, "rich_help_panel", None) or EVERYDAY for param in self.params]
         order = sorted(range(len(panels)), key=lambda at: GROUPS.index(panels[at]))
         self.params = [self.params[at] for at in order]

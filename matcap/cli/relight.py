@@ -55,15 +55,20 @@ class RelightOptions(CheckedSettings):
     set."""
     seed: int = setting(0, metavar="SEED", parse=values.seed)
     """Seed of the material's realisation."""
-    effects: str = setting("auto", metavar="auto|all|none|+x,-y")
+    effects: str = setting("auto", metavar="auto|all|none|+x,-y", group="Advanced")
     """Effects to run (see --explain)."""
     tolerance: float = setting(
-        DEFAULT_TOLERANCE, least=0.0, most=1e9, metavar="0..1e9", otherwise="half an 8-bit step"
+        DEFAULT_TOLERANCE,
+        least=0.0,
+        most=1e9,
+        metavar="0..1e9",
+        otherwise="half an 8-bit step",
+        group="Advanced",
     )
     """Largest change by skipped effects, in code values from 0 to 1."""
     maps_from: Path | None = setting(None)
     """A folder of maps that matcap did not make (ambientCG, Poly Haven names)."""
-    normal: NormalStyle | None = setting(None, words=("gl", "dx"))
+    normal: NormalStyle | None = setting(None, words=("gl", "dx"), group="Advanced")
     """Direction of green in normal maps of --maps-from: up (gl) or down (dx)."""
 
 

@@ -40,8 +40,13 @@ class ViewOptions(CheckedSettings):
     """Open the page in the browser."""
     html: Path | None = setting(None, metavar="FILE")
     """Write a self-contained HTML file instead of running a server."""
-    tile: int = setting(512, least=16, most=2048)
+    tile: int | None = setting(
+        None, least=16, most=2048, otherwise="1024, or 512 where a page of 10 MB holds no more"
+    )
     """Side of the seamless tile in --html, in texels, a multiple of 16."""
+
+
+_SIDES, _LARGEST = (1024, 512), 10_000_000  # default texels of a tile, bytes of a page with them
 
 
 @with_settings
@@ -81,7 +86,11 @@ def view(
     shown = reference_photograph(path, subject.facts.name, photo, material)
     if html is not None:
         with working("writing the page", quiet=quiet):
-            write_page(sealed_page(subject, asked.tile, shown), html)
+            for side in (asked.tile,) if asked.tile else _SIDES:
+                page = sealed_page(subject, side, shown)
+                if len(page) <= _LARGEST or material is None:
+                    break
+            write_page(page, html)
         printer(quiet=quiet)(f"wrote {html}")
         return
     app = partial(make_app, subject, photo=shown)

@@ -40,12 +40,15 @@ class ExportOptions(CheckedSettings):
     """Textures of a preset to write, by their names in its table; empty is all."""
     normal: NormalMaps | None = setting(None, words=("gl", "dx", "both"), otherwise="the target's")
     """Normals of textures: +Y up (gl), down (dx), or a file of each (both)."""
-    bits: Depth | None = setting(None, words=("8", "16", "half", "float"), otherwise="the target's")
+    bits: Depth | None = setting(
+        None, words=("8", "16", "half", "float"), otherwise="the target's", group="Output"
+    )
     """Depth of all textures: PNG of 8 or 16 bits, EXR of half or float."""
     workflow: Workflow | None = setting(
         None,
         words=("metallic", "specular"),
         otherwise="the one with the smaller residual; unreal: metallic",
+        group="Output",
     )
     """Metallic or specular workflow, for targets that have both."""
     container: Container | None = setting(
@@ -53,10 +56,16 @@ class ExportOptions(CheckedSettings):
         option="format",
         words=("png", "jpg", "exr"),
         otherwise="png, or exr for floats",
+        group="Output",
     )
     """Format of the textures; with jpg, heights are PNG."""
     unit: float | None = setting(
-        None, least=1e-6, most=1e9, metavar="MM", otherwise="the material's measured size"
+        None,
+        least=1e-6,
+        most=1e9,
+        metavar="MM",
+        otherwise="the material's measured size",
+        group="Output",
     )
     """Length of a plane unit (half the photograph's long side) in millimetres, for physical sizes
     and heights."""

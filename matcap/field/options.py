@@ -34,18 +34,23 @@ class ReadOptions(CheckedSettings):
         None,
         words=("example", "decoder"),
         otherwise="the one that capture found nearer",
+        group="Decoder",
     )
     """Rearrange the photographed rectangle (example), or run the fine-tuned network (decoder)."""
-    adjust: Adjustments | None = setting(None, metavar="NAME=VALUE,...", parse=_adjustments)
+    adjust: Adjustments | None = setting(
+        None, metavar="NAME=VALUE,...", parse=_adjustments, group="Advanced"
+    )
     """Change relief (factor), roughness (added), saturation, brightness (factors) or tint (#rrggbb)
     of the maps, not of the material: relief=1.3,roughness=-0.1. Or a sidecar (.json) that records
     it."""
     variety: float | None = setting(
-        None, least=0.0, most=1.0, metavar="0..1", otherwise="what capture chose"
+        None, least=0.0, most=1.0, metavar="0..1", otherwise="what capture chose", group="Advanced"
     )
     """Size of the patches that the exemplar is cut into: 0 is one patch, the whole exemplar; 1 is
     the smallest patches."""
-    normals: NormalSource | None = setting(None, words=("height", "file"), otherwise="height")
+    normals: NormalSource | None = setting(
+        None, words=("height", "file"), otherwise="height", group="Advanced"
+    )
     """Normals of a map set: computed from its height, or read from its normal file."""
 
     @property
@@ -69,9 +74,11 @@ _MOST_STEPS = 256
 class DrawOptions(CheckedSettings):
     """Options of drawing a material from the prior."""
 
-    like: Path | None = setting(None, metavar="PHOTO|MATERIAL")
+    like: Path | None = setting(None, metavar="PHOTO|MATERIAL", group="Decoder")
     """Draw a material similar to that of this photograph, or to this captured one."""
-    spread: float = setting(SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1")
+    spread: float = setting(
+        SPREAD, option="-t", least=0.0, most=1.0, metavar="0..1", group="Decoder"
+    )
     """Distance of the draw from it: 0 is the photograph, 1 is independent of it."""
 
 

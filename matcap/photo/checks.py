@@ -337,6 +337,12 @@ _TABLE = (
         seen="texture too soft or too coarse", factor=True,
     ),
     QualityCheck(
+        "pits", "depth of the darkest spots in the light, re-rendered over photographed", "times",
+        (1.5, 2.0, 3.0),
+        "the darkest spots in the light are {value:.1f} times as deep as in the photograph",
+        seen="black pits",
+    ),
+    QualityCheck(
         "pattern", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
         "the pattern is {kept:.0%} as regular as in the photograph",
         "cells or lines are broken, which small patches cut and decoders cannot draw",

@@ -72,16 +72,16 @@ class SynthRequest(CheckedSettings):
     udim: tuple[int, int] | None = setting(None, metavar="CxR", parse=values.size)
     """A texture set of C columns (at most 10) and R rows (at most 900), each tile of the given
     size."""
-    mipmap: bool = setting(False, option="mip")
+    mipmap: bool = setting(False, option="mip", group="Output")
     """Mip-mapped EXR files."""
-    png: bool = setting(False)
+    png: bool = setting(False, group="Output")
     """Also write 16-bit PNGs."""
-    preview: bool = setting(True)
+    preview: bool = setting(True, group="Output")
     """Also write NAME_preview.png: about a megapixel, lit from the top, with the seam marked if the
     maps repeat."""
-    normal: NormalStyle = setting("gl", words=("gl", "dx"))
+    normal: NormalStyle = setting("gl", words=("gl", "dx"), group="Output")
     """Normals with +Y up (gl) or down (dx)."""
-    device: DeviceName = setting("auto", words=("auto", "cpu", "cuda"))
+    device: DeviceName = setting("auto", words=("auto", "cpu", "cuda"), group="Advanced")
     """Device that runs the network. auto: CUDA where PyTorch sees such a device."""
 
     def __post_init__(self) -> None:
@@ -116,11 +116,13 @@ class SynthProgress(Progress):
 class Work:
     """Settings of computing and writing a request."""
 
-    workers: int = setting(1, least=1, most=1024, short="-j", otherwise="one a core")
+    workers: int = setting(
+        1, least=1, most=1024, short="-j", otherwise="one a core", group="Advanced"
+    )
     """Processes (threads for a few blocks, and on CUDA); their number changes no bit."""
-    scheduler: str | None = setting(None, metavar="tcp://HOST:PORT")
+    scheduler: str | None = setting(None, metavar="tcp://HOST:PORT", group="Advanced")
     """Send blocks to this dask scheduler."""
-    resume: bool = setting(False)
+    resume: bool = setting(False, group="Advanced")
     """Continue an interrupted run of the same request."""
     progress: Callable[[SynthProgress], None] = ignore_progress
     """Called after every block."""

@@ -70,14 +70,25 @@ def test_every_command_has_help(matcap, command):
     assert "Usage: matcap" in said.out
 
 
-def test_help_of_capture_begins_with_everyday_options(matcap):
-    lines = matcap("capture", "--help").out.splitlines()
+@pytest.mark.parametrize("command", ["capture", "batch", "inspect", "synth", "relight", "export"])
+def test_help_is_of_everyday_options_and_names_the_others(matcap, command):
+    lines = matcap(command, "--help").out.splitlines()
+    assert len(lines) < 40 and any("─ Everyday ─" in line for line in lines)
+    whole = matcap(command, "--help-all").out
+    named = " ".join(lines[next(i for i, line in enumerate(lines) if "By --help-all" in line) :])
+    others = re.findall(r"(?<=\s)--?[a-z-]+(?=[,;.])", named)
+    assert others and all(f" {option} " in whole for option in others)
+
+
+def test_help_all_is_of_all_options_everyday_ones_first(matcap):
+    lines = matcap("capture", "--help-all").out.splitlines()
     everyday, following = (
         next(i for i, line in enumerate(lines) if f"─ {name} ─" in line)
         for name in ("Everyday", "Several photographs")
     )
     assert everyday < following < 40 and len(lines) < 150
     assert any("--out" in line for line in lines[everyday:following])
+    assert any("--roughness" in line for line in lines[following:])
     assert not any("<=" in line for line in lines)
 
 

@@ -21,7 +21,7 @@ PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity", "flash_of
 
 _UNDETERMINED = "one photograph leaves open what of it is colour, gloss and relief"
 _AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width", "highlight_residue"})
-_IN_TEXTURE = frozenset({"texture", "contrast", "pattern"})
+_IN_TEXTURE = frozenset({"texture", "contrast", "pits", "pattern"})
 # What a fault of the photograph explains, by its check; the first is the likeliest.
 _BY_PHOTOGRAPH = {
     "clipped": _AT_HIGHLIGHT | {"colour"},
@@ -120,7 +120,8 @@ def judge(seen: Measurements) -> CaptureVerdict:
 
 def _placed(finding: Finding, seen: Measurements) -> Finding:
     """The finding with the region of the picture where it is seen."""
-    place = "highlight" if finding.name in _AT_HIGHLIGHT else "texture"
+    place = finding.name if finding.name in seen.regions else "texture"
+    place = "highlight" if finding.name in _AT_HIGHLIGHT else place
     if finding.where is not None or finding.name not in _AT_HIGHLIGHT | _IN_TEXTURE:
         return finding
     return replace(finding, where=seen.regions.get(place))
@@ -188,6 +189,8 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield CHECKS["colour"].finding(max(map(abs, seen.colour)))
     yield CHECKS["texture"].finding(seen.texture)
     yield _contrast(seen)
+    # Shallower spots are of a weaker texture.
+    yield CHECKS["pits"].finding(max(1.0, seen.pits))
     yield _pattern(seen)
     yield from _exemplar(seen.exemplar)
 
@@ -253,8 +256,8 @@ def _contrast(seen: Measurements) -> Finding:
     band = max(factors, key=lambda name: abs(math.log(factors[name])))
     factor = factors[band]
     says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
-    found = CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
-    return replace(found, where=seen.regions.get(band))
+    contrast = CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
+    return replace(contrast, where=seen.regions.get(band))
 
 
 def _pattern(seen: Measurements) -> Finding:

@@ -51,6 +51,9 @@ _TOE = 0.02  # share of the median that is added before logarithms
 _FINE = (1.0, 3.0)
 _COARSE_BAND = (4.0, 16.0)  # standard deviations of the band-pass for coarse texture, texels
 _CHROMA_BAND = (2.0, 16.0)  # those for coloured texture, log red / green and blue / green
+_SPOT_BAND = (2.0, 8.0)  # standard deviations of the band-pass for single spots, texels
+_DEEPEST = 0.005  # quantile of it that is the depth of the darkest spots
+_SHALLOW = 0.05  # depth, log luminance, that nobody sees of a single spot
 _TILES = 8  # across the picture, for contrasts of texture
 _BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
 _PLACES = (4, 3)  # number of windows across and down
@@ -86,8 +89,11 @@ class Measurements:
     """Measurement of each cause by its name (photo/checks.py)."""
     photographs: int = 1
     """Number of photographs of the sample."""
+    pits: float = 1.0
+    """Depth of the darkest spots in the light, re-rendered over photographed; 1 where clipped."""
     regions: Mapping[str, Region] = field(default_factory=dict)
-    """Where it is seen, by `highlight`, `texture` and band of contrast, in the upright picture."""
+    """Where it is seen, by `highlight`, `texture`, `pits` and band of contrast, in the upright
+    picture."""
 
 
 def measure_capture(
@@ -126,7 +132,8 @@ def measure_capture(
     rendering = planes_of(pictures[1])
     texture, regions = texture_difference(plane, rendering)
     contrast, where = texture_contrasts(pictures[0], tiles, developed=developed)
-    regions |= where
+    pits, spot = dark_spots(pictures, valid)
+    regions |= where | spot
     if (seen := highlights[0] or highlights[1]) is not None:
         regions["highlight"] = _around(seen, rectified.shape)
     return Measurements(
@@ -140,6 +147,7 @@ def measure_capture(
         order=_order(plane, rendering, waves) if waves else None,
         exemplar=exemplar,
         causes=measure_causes(smooth, pictures, highlights, exemplar),
+        pits=pits,
         regions={name: upright_region(photo, region) for name, region in regions.items()},
     )
 
@@ -188,9 +196,7 @@ def texture_contrasts(
     developed photograph is uncertain by a code of 255, which blurs to blotches:
     that variance is added to both, so that only visible differences count.
     """
-    light = cell_means(channel_mean(seen), _TILES)
-    bright = np.zeros(light.shape, bool)
-    bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
+    bright = _bright_tiles(seen)
     before, after = tiles
     if developed:
         noise = _code_variance(cell_means(seen, _TILES), _log_luminance(seen)[1])
@@ -206,6 +212,36 @@ def texture_contrasts(
             grown = change if contrast[name][1] > contrast[name][0] else -change
             places[name] = _tile(np.where(region, grown, -np.inf))
     return contrast, places
+
+
+def dark_spots(
+    pictures: tuple[Picture, Picture], valid: TexelMask
+) -> tuple[float, dict[str, Region]]:
+    """Depth of the darkest spots in the light, re-rendered over photographed, and their place.
+
+    Medians over tiles leave out black pits that few texels show. 1 and none where the light is
+    clipped.
+
+    Args:
+        pictures: (H, W, 3) linear, photograph and re-rendering.
+        valid: (H, W) bool, inside of the photograph and not clipped.
+    """
+    lit = _bright_tiles(pictures[0]).astype(np.uint8)
+    seen = cv2.resize(lit, valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(bool) & valid
+    if seen.mean() < _BRIGHT * _LEAST_SEEN:
+        return 1.0, {}
+    bands = [band_passed(_log_luminance(each)[0], *_SPOT_BAND) for each in pictures]
+    before, after = (max(-float(np.quantile(band[seen], _DEEPEST)), 0.0) for band in bands)
+    deepest = cell_means((seen & (bands[1] < -after)).astype(np.float32), _TILES)
+    return (after + _SHALLOW) / (before + _SHALLOW), {"pits": _tile(deepest)}
+
+
+def _bright_tiles(picture: Picture) -> NDArray[np.bool_]:
+    """Which of a picture's tiles are its brightest."""
+    light = cell_means(channel_mean(picture), _TILES)
+    bright = np.zeros(light.shape, bool)
+    bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
+    return bright
 
 
 def _tile(values: NDArray[Any]) -> Region:

@@ -17,6 +17,7 @@ from matcap.capture.verdict.causes import ExemplarMeasurements, HighlightProfile
 from matcap.capture.verdict.judge import findings, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
+    dark_spots,
     measure_capture,
     smooth_difference,
     texture_contrasts,
@@ -235,6 +236,21 @@ def test_a_band_is_weaker_where_it_is_weakest_beside_the_light():
     assert places["fine texture beside the light"] == (1 / 8, 3 / 6, 1 / 8, 1 / 6)
 
 
+def test_black_pits_that_few_texels_show_are_seen_in_the_light():
+    y, x = np.mgrid[:192, :256]
+    light = 0.5 * np.exp(-((x - 128) ** 2 + (y - 96) ** 2) / 8e3)[..., None]
+    grain = cv2.GaussianBlur(np.random.default_rng(4).standard_normal((192, 256)), (0, 0), 2.0)
+    seen = np.repeat(light * (1.0 + 0.5 * grain[..., None]), 3, 2).astype(np.float32)
+    made = seen.copy()
+    for column in range(104, 124, 8):
+        made[100:103, column : column + 3] *= 0.05
+    whole = np.ones((192, 256), bool)
+    ratio, places = dark_spots((seen, made), whole)
+    assert ratio > 2.0 and places["pits"] == (3 / 8, 3 / 6, 1 / 8, 1 / 6)
+    assert dark_spots((seen, seen), whole)[0] == 1.0
+    assert dark_spots((seen, made), ~whole) == (1.0, {})
+
+
 def test_a_measurement_that_is_not_a_number_has_failed():
     assert judge(replace(FINE, light=math.nan)).rating is Rating.FAILED
 
@@ -284,6 +300,7 @@ BAD = [
     ({"colour": (0.2, 0.0, -0.25)}, "colour", "doubtful"),
     ({"texture": 2.0}, "texture", "doubtful"),
     ({"contrast": {"fine": (0.1, 0.1), "coarse": (0.0, 0.05)}}, "contrast", "failed"),
+    ({"pits": 2.5}, "pits", "doubtful"),
     ({"order": (0.5, 0.05)}, "pattern", "failed"),
     (shot_with("stationarity", 4.0), "photograph", "doubtful"),
     (shot_with("tilt", 20.0), "photograph", "doubtful"),
