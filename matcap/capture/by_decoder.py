@@ -174,8 +174,6 @@ def tuned_decoder(
         )
     if tuned.interrupted:
         clock.status = RunStatus.INTERRUPTED
-    elif tuned.history and tuned.history[-1][1] < tune.steps:
-        clock.status = RunStatus.TIME_IS_UP
     network = tuned.decoder.eval().requires_grad_(False)
     made = TunedDecoder(
         network, start.code, tuned.moments, target.waves, texel_size, target.drawing

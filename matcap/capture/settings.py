@@ -426,8 +426,6 @@ class RunStatus(Enum):
     """How a capture ended, or will end."""
 
     DONE = "done"
-    TIME_IS_UP = "time is up"
-    """Of fine-tuning, whose steps the time limit cut short."""
     INTERRUPTED = "interrupted"
     """By Ctrl-C, with the best result so far."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.capture.settings import CaptureSettings, OutputSettings, RunStatus, check_photographs
+from matcap.capture.settings import CaptureSettings, OutputSettings, check_photographs
 from matcap.capture.time_limit import slowness, within_time
 from matcap.cli.options import (
     NOTHING,
@@ -172,7 +172,7 @@ def _capture(
         shown.note(no_repeat(outputs.size, alignment))
     return {
         "photo": str(job.photo),
-        "status": "interrupted" if result.status is RunStatus.INTERRUPTED else "done",
+        "status": result.status.value,
         "folder": str(job.folder),
         "material": str(job.folder / f"{job.folder.name}.matcap"),
         "verdict": result.verdict.document(),

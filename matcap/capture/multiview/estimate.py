@@ -94,24 +94,22 @@ def estimate_multiview(
     spread = spread_over(single, mosaic.margins)
     with clock.stage("align"):
         rendered = partial(_aligned, by_features, single.maps, spread, clock)
-        alignment, done = _unless_interrupted(by_features, rendered)
+        alignment = _unless_interrupted(clock, by_features, rendered)
     cameras = PosedCamera.of(by_features.setup), alignment.views[0].camera
     alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
-    if mosaic.margins.any and done:
+    if mosaic.margins.any and clock.status is RunStatus.DONE:
         several = alignment, alone, mosaic, coarse, partial(_predict_anew, network)
-        alone, done = _unless_interrupted(alone, partial(predicted_beyond, *several))
-    prior = alone
+        alone = _unless_interrupted(clock, alone, partial(predicted_beyond, *several))
+    begun = alignment, alone
     with clock.stage("solve"):
-        if done:
-            basis = partial(with_basis, alignment, alone)
-            (alignment, prior), done = _unless_interrupted((alignment, alone), basis)
-        alignment, resampled, solved = _solved(alignment, prior, clock)
-    done &= not solved.interrupted
+        if clock.status is RunStatus.DONE:
+            begun = _unless_interrupted(clock, begun, partial(with_basis, *begun))
+        alignment, resampled, solved = _solved(*begun, clock)
     camera_only = replace(coarse, setup=alignment.setup)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("predict"):
-        check = partial(leave_one_out, alignment, solved, prior, alone, by_features.light)
-        checked = check() if done else LeaveOneOut((), ())
+        check = partial(leave_one_out, alignment, solved, begun[1], alone, by_features.light)
+        checked = check() if clock.status is RunStatus.DONE else LeaveOneOut((), ())
         if checked.kept_first is not None and not mosaic.margins.any:
             solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only
     first = alignment.views[0].photo
@@ -124,17 +122,19 @@ def estimate_multiview(
         metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
     report = SetReport.of(alignment, registration, solved, checked, mosaic)
-    clock.status = clock.status if done else RunStatus.INTERRUPTED
     result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], report, scale)
     return rectified, replace(result, turned=first.turned)
 
 
-def _unless_interrupted(otherwise: Result, compute: Callable[[], Result]) -> tuple[Result, bool]:
-    """What is computed, and True; `otherwise` and False after Ctrl-C."""
+def _unless_interrupted(
+    clock: CaptureClock, otherwise: Result, compute: Callable[[], Result]
+) -> Result:
+    """What is computed; after Ctrl-C, which the clock's status then says, `otherwise`."""
     try:
-        return compute(), True
+        return compute()
     except KeyboardInterrupt:
-        return otherwise, False
+        clock.status = RunStatus.INTERRUPTED
+        return otherwise
 
 
 def registered(
@@ -223,6 +223,8 @@ def _solved(
     views, rounds = alignment.on_grid(across, down), ROUNDS if coarser is None else _FINER
     progress = clock.callback("solve", share, 1.0)
     solved = solve(views, prior, alignment.light, coarser, progress, rounds=rounds)
+    if solved.interrupted:
+        clock.status = RunStatus.INTERRUPTED
     return alignment, views, solved
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -217,15 +217,19 @@ def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:
     return MapSet.from_stacked(torch.from_numpy(planes), maps.texel_size)
 
 
-def own_plane(
-    camera: PosedCamera, light: SharedLight, number: int
-) -> tuple[FlashSetup, float, Callable[[Doubles], Doubles]]:
-    """The frame of the plane that faces a camera, within the first photograph's frame.
+class OwnPlane(NamedTuple):
+    """The frame of the plane that faces a camera, within the first photograph's frame."""
 
-    Returns:
-        Camera and flash of photograph `number` in this frame; its plane unit in the first
-        photograph's; and its (2, ...) coordinates of points (3, ...) of the first one's plane.
-    """
+    setup: FlashSetup
+    """Camera and flash of the photograph in this frame."""
+    unit: float
+    """Its plane unit in the first photograph's."""
+    coordinates: Callable[[Doubles], Doubles]
+    """Its (2, ...) coordinates of points (3, ...) of the first photograph's plane."""
+
+
+def own_plane(camera: PosedCamera, light: SharedLight, number: int) -> OwnPlane:
+    """The frame of the plane that faces the camera of photograph `number`."""
     distance = camera.place[2] / camera.turn[2, 2]
     origin = (camera.place - distance * camera.turn[2])[:2]
     scale = float(distance / camera.lens.focal)
@@ -249,7 +253,7 @@ def own_plane(
         offset = points[:2] - origin.reshape(2, *(1,) * (points.ndim - 1))
         return np.asarray(np.tensordot(np.array([[c, s], [-s, c]]), offset, 1)) / scale
 
-    return setup, scale, coordinates
+    return OwnPlane(setup=setup, unit=scale, coordinates=coordinates)
 
 
 def predicted_beyond(
@@ -274,12 +278,13 @@ def predicted_beyond(
     for number, view in enumerate(alignment.views[1:], 1):
         if view.flash and math.degrees(view.camera.tilt) < _STEEPEST_PREDICTED:
             own = own_plane(view.camera, alignment.light, number)
-            plane = read_plane(view.photo, own[0], mosaic.size[0])
-            prediction = predict(plane, replace(coarse, setup=own[0]))
-            over, error, weight = resampled(prediction, own, alignment, number, first.maps.size)
-            count = max(len(others), len(over))
-            others = with_channels(others, count) + weight * with_channels(over, count)
-            errors, total = errors + weight * error, total + weight
+            plane = read_plane(view.photo, own.setup, mosaic.size[0])
+            prediction = predict(plane, replace(coarse, setup=own.setup))
+            over = resampled(prediction, own, alignment, number, first.maps.size)
+            count = max(len(others), len(over.parameters))
+            weighted = over.weight * with_channels(over.parameters, count)
+            others = with_channels(others, count) + weighted
+            errors, total = errors + over.weight * over.log_error, total + over.weight
     inside = mosaic.margins.own(mosaic.size).numpy().astype(np.uint8)
     within = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, 3), np.float32)
     # Where nothing is predicted, at the outermost borders, the extrapolated first one is left.
@@ -296,13 +301,24 @@ def with_channels(parameters: Tensor, count: int) -> Tensor:
     return F.pad(parameters, (0, 0, 0, 0, 0, count - len(parameters)))
 
 
+class PredictedBeyond(NamedTuple):
+    """A photograph's prediction on the first one's plane."""
+
+    parameters: Tensor
+    """(PARAMETERS or more, H, W)."""
+    log_error: Tensor
+    """(4, H, W)."""
+    weight: Tensor
+    """(H, W), 0 at the photograph's border and beyond."""
+
+
 def resampled(
     prediction: Estimate,
-    own: tuple[FlashSetup, float, Callable[[Doubles], Doubles]],
+    own: OwnPlane,
     alignment: Aligned,
     number: int,
     size: tuple[int, int],
-) -> tuple[Tensor, Tensor, Tensor]:
+) -> PredictedBeyond:
     """Resample photograph `number`'s prediction from its own plane to the first one's.
 
     Args:
@@ -311,15 +327,11 @@ def resampled(
         alignment: registration of the photographs.
         number: of the photograph.
         size: (across, down) texels of the grid.
-
-    Returns:
-        Parameters, log errors (4, H, W), and weights (H, W).
     """
-    _, scale, coordinates = own
     camera, warp = alignment.views[number].camera, alignment.warps[number]
     points = np.concatenate([*warp.points(*size)], axis=1)
     width, height = prediction.maps.size
-    x, y = to_pixels(coordinates(camera.on_plane(camera.sees(points))), width, height)
+    x, y = to_pixels(own.coordinates(camera.on_plane(camera.sees(points))), width, height)
 
     def over(planes: Tensor, how: int) -> Tensor:
         each = (cv2.remap(p.numpy(), x, y, how, borderMode=cv2.BORDER_REFLECT_101) for p in planes)
@@ -327,12 +339,15 @@ def resampled(
 
     # Slopes are those of the resampled height: axes of the two planes differ.
     maps = prediction.maps
-    height_over = scale * over(maps.height, cv2.INTER_CUBIC)
+    height_over = own.unit * over(maps.height, cv2.INTER_CUBIC)
     parameters = over(parameters_of(maps), cv2.INTER_LINEAR)
     parameters[SLOPES] = slopes_of(height_over, warp.extent.texel(size[0]))
     within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
-    weight = torch.from_numpy(_faded(within, width))
-    return parameters, over(prediction.log_error, cv2.INTER_LINEAR), weight
+    return PredictedBeyond(
+        parameters=parameters,
+        log_error=over(prediction.log_error, cv2.INTER_LINEAR),
+        weight=torch.from_numpy(_faded(within, width)),
+    )
 
 
 def _faded(within: NDArray[np.float32], width: int) -> NDArray[np.float32]:

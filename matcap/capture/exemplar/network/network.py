@@ -118,6 +118,7 @@ class ExpectedErrors(_NamedPlanes):
 
 INPUTS, ERRORS = sum(NetworkInputs.channels), sum(ExpectedErrors.channels)
 OUTPUTS = sum(CHANNELS.values())
+_HEIGHT = slice(OUTPUTS - 1, OUTPUTS)  # the last of the residuals
 ANSWERS = OUTPUTS + ERRORS + 1  # the last is the logit of metal
 
 
@@ -221,7 +222,7 @@ class Inverse(nn.Module):
         answer = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
         # Albedo is predicted relative to the photograph's log radiance over the uniform material.
         answer[:, ALBEDO] += parts.log
-        answer[:, OUTPUTS - 1 : OUTPUTS] += _doubled(height)
+        answer[:, _HEIGHT] += _doubled(height)
         return answer
 
 
