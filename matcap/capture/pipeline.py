@@ -71,9 +71,7 @@ def read_photograph(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             "leave it out: what does not belong to the sample is detected",
         )
-    photo = load_photo(
-        path, long_side=detail, fov=settings.fov, white=settings.white, tone=tone
-    )
+    photo = load_photo(path, long_side=detail, fov=settings.fov, white=settings.white, tone=tone)
     if several and photo.left_out is not None:
         raise MatcapError.at(
             path,
