@@ -88,7 +88,7 @@ def relit(
     truth = float(np.mean([math.log(highlight_contrast(piece, scene)) for piece in pieces]))
     rows, ratios = [], {}
     for label, paths in photographs.items():
-        settings = CaptureSettings(detail=DETAIL, fov=CAMERA.fov)
+        settings = CaptureSettings(preset="instant", detail=DETAIL, fov=CAMERA.fov)
         maps = exemplar_maps(capture_file(paths[0], settings, others=paths[1:]))
         middle = centred(maps.maps)
         ratios[label] = math.exp(math.log(highlight_contrast(middle, scene)) - truth)

@@ -10,8 +10,8 @@ Values become light by the pictures' common tone curve (photo/response.py). Each
 mean of what the photographs measure there, weighted by the inverse of their variances. Clipped and
 almost clipped values are left out, and what moved or is aligned wrongly: where a photograph
 deviates from the brightest unclipped one by more than _DEVIATES. Glints move with the camera: near
-clipped places the darker photograph is right there, as it alone shows all of them. White is that of
-the longest exposure.
+clipped places the darker photograph is right there, as it alone shows all of them; its light is
+brought to the highlight of the longer one, by a smooth factor. White is that of the longest.
 
 In come photographs, out goes one that clips where the shortest exposure clips (Photo.headroom).
 """
@@ -227,7 +227,9 @@ class Bracket:
             view, light = self.views[number], self.light(number)
             weight = self._weight(number)
             if number != longest_first[0]:
-                moved = _moved(light, total, weights, self.factors[number] * view.faintest)
+                faintest = self.factors[number] * view.faintest
+                light = light * _evening(light, total, weights, faintest, view.glint_reach)
+                moved = _moved(light, total, weights, faintest)
                 around = np.ones((2 * view.glint_reach + 1,) * 2, np.uint8)
                 bright = np.maximum(light, total / np.maximum(weights, 1e-30)).max(axis=2) > _GLINT
                 glint = moved & bright & (cv2.dilate(clips.astype(np.uint8), around) > 0)
@@ -299,16 +301,38 @@ class Bracket:
         return np.asarray(np.where(known[..., None], weight, 0.0), np.float32)
 
 
+def _evening(
+    light: Picture, total: Picture, weights: Picture, faintest: float, reach: int
+) -> Picture:
+    """(H, W, 1) smooth factor from light to what longer exposures measure around.
+
+    A highlight moves with the camera. Its flanks, which both measure, say how much light differs
+    there and between them. What is near white in either is left out: the longer shows no more.
+    """
+    known = total / np.maximum(weights, 1e-30)
+    dull = np.maximum(light, known).max(axis=2, keepdims=True) < _FADES[0]
+    ratio, of = _log_ratio(light, total, weights, dull & (light > faintest), 2.0 * reach)
+    return np.asarray(np.exp(-ratio / (of + np.float32(1e-2)))[..., None], np.float32)
+
+
 def _moved(light: Picture, total: Picture, weights: Picture, faintest: float) -> NDArray[np.bool_]:
     """(H, W) where light above the faintest disagrees with what longer exposures measure."""
-    both = (weights > 0.0) & (light > faintest)
+    ratio, of = _log_ratio(light, total, weights, light > faintest, _LOCAL)
+    return np.asarray((of > 1e-3) & (np.abs(ratio) > _DEVIATES * np.maximum(of, 1e-3)))
+
+
+def _log_ratio(
+    light: Picture, total: Picture, weights: Picture, where: NDArray[np.bool_], deviation: float
+) -> tuple[Picture, Picture]:
+    """(H, W) local sums of log ratios of light to what longer exposures measure, and of weights."""
+    both = (weights > 0.0) & where
     known = np.maximum(total, 1e-6) / np.maximum(weights, 1e-30)
     ratio = np.where(both, np.log(np.maximum(light, 1e-6)) - np.log(np.maximum(known, 1e-6)), 0.0)
-    around, of = (
-        cv2.GaussianBlur(np.asarray(each, np.float32).mean(axis=2), (0, 0), _LOCAL)
+    sums, of = (
+        cv2.GaussianBlur(np.asarray(each, np.float32).mean(axis=2), (0, 0), deviation)
         for each in (ratio, both)
     )
-    return np.asarray((of > 1e-3) & (np.abs(around) > _DEVIATES * np.maximum(of, 1e-3)))
+    return np.asarray(sums, np.float32), np.asarray(of, np.float32)
 
 
 def shared_curve(paths: Sequence[Path], *, fov: float | None = None) -> ToneCurve | None:

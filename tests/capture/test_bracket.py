@@ -16,10 +16,12 @@ from matcap.capture.bracket import (
     alignment,
     find_brackets,
     merge_bracket,
+    shared_curve,
     way_of_camera,
 )
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_decode, srgb_encode
+from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo, ToneCurve
 
 WIDTH, HEIGHT, FOV = 640, 480, 66.0
@@ -169,6 +171,23 @@ def glints(shift: int, peak: float) -> np.ndarray:
     return light + 40.0 * cv2.GaussianBlur(spots, (0, 0), 2.5)[..., None]
 
 
+def test_the_core_of_a_highlight_stands_in_its_flanks():
+    """A highlight moves with the camera: only the darker photograph shows its core."""
+    light, far = scene(peak=0.0), 8
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+
+    def lit(across: float):
+        squared = np.square(x - WIDTH / 2 - across) + np.square(y - HEIGHT / 2)
+        return (light + 4.0 * np.exp(-squared / 900.0)[..., None]).astype(np.float32)
+
+    bracket = aligned_bracket([taken(lit(0)), taken(lit(far), 1 / 16, seed=2)])
+    assert bracket is not None
+    merged = bracket.merged().pixels.mean(axis=2)
+    brightest = np.maximum(merged - 2.0, 0.0)
+    centre = (brightest * x).sum() / brightest.sum() - WIDTH / 2
+    assert abs(centre) < 0.5 * far
+
+
 def test_glints_that_moved_keep_their_light():
     """Longer exposures show them clipped, darker ones elsewhere: neither place may lose them."""
     light, other = glints(0, 6.0), glints(6, 6.0)
@@ -245,6 +264,23 @@ def test_brackets_among_files_are_found(tmp_path, stated):
     found = find_brackets(paths)
     assert found == [(paths[0], paths[1]), (paths[2],), (paths[3],)]
     assert find_brackets(paths[:1]) == [(paths[0],)]
+
+
+def test_the_curve_is_measured_before_averaging_and_undone_before_it(tmp_path):
+    """Means of compressed glints would make the shoulder too strong."""
+    fine = cv2.GaussianBlur(np.random.default_rng(2).standard_normal((HEIGHT, WIDTH)), (0, 0), 1.2)
+    light = scene() * np.exp(3.0 * fine - 0.3)[..., None].astype(np.float32)
+    shown = [(taken(light), 1.0), (taken(light, 1 / 16, seed=2), 1 / 16)]
+    paths = [saved(tmp_path / f"{k}.jpg", *each) for k, each in enumerate(shown)]
+    tone = shared_curve(paths)
+    assert tone is not None and abs(tone.shoulder - CURVE.shoulder) < 0.06
+    photo = load_photo(paths[0], long_side=WIDTH // 4, tone=tone)
+    dark = light.max(axis=2) < 0.5
+    cells = [cv2.resize(np.where(dark, each, 0), photo.pixels.shape[1::-1],
+             interpolation=cv2.INTER_AREA) for each in (light[..., 0], 1.0 * dark)]  # fmt: skip
+    whole = cells[1] == 1.0
+    assert np.median(photo.pixels[..., 0][whole] / cells[0][whole]) == pytest.approx(1.0, abs=0.06)
+    assert not photo.tone_mapped and photo.tone == tone
 
 
 def test_metadata_decides_before_pixels_do(tmp_path):
