@@ -99,7 +99,6 @@ COLOURED = 3  # channels of a coloured F0
 DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = (
     slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None),
 )  # fmt: skip
-SURFACE = slice(0, -1)  # all but the height
 MAP_NAMES: tuple[str, ...] = (*CHANNELS, "normal")
 
 

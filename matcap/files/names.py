@@ -111,11 +111,6 @@ def sanitised_name(name: str, otherwise: str = "material") -> str:
     return _UNUSUAL.sub("_", name)[:100].strip(" .") or otherwise
 
 
-def is_portable(name: str) -> bool:
-    """Whether a name has only letters, digits, spaces and _ . , ( ) + -, safe for all programs."""
-    return not _UNUSUAL.search(name)
-
-
 def usable_name(name: str, otherwise: str = "material") -> str:
     """The name of an existing file if it is plain, else sanitised_name of it."""
     return sanitised_name(name, otherwise) if name_fault(name) else name

@@ -137,9 +137,6 @@ class DecoderConfig:
         return WAVE_CHANNELS + self.cells
 
 
-# The paper's configuration at width 32; 2.2 million parameters.
-PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=(2, 2))
-
 Moments = tuple[Tensor, Tensor]  # mean and standard deviation, (channels,) each
 
 
