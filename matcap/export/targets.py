@@ -18,7 +18,6 @@ Keys:
     height_code: of integer or scaled heights, `scale`, `midlevel` and `unit`:
         height = (value - midlevel) * scale.
     periodic: whether the maps tile seamlessly.
-    udim: null; (columns, rows) of texture sets of earlier versions, whose file names have `<UDIM>`.
     seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
@@ -279,7 +278,6 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "tile": [across, down],
         "texel": job.maps.texel_size * job.unit_length,
         "periodic": job.maps.periodic,
-        "udim": None,
         "seam": round(seam_ratio(job.maps), 3),
         "files": {
             file: {

@@ -1,12 +1,11 @@
 """Kinds of picture files by their first bytes, refusals, and what image decoders do not return.
 
 Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, by the boxes meta,
-pitm, iprp, ipco and ipma; of JPEG the segments and coding modes; of TIFF the picture that is meant.
+pitm, iprp, ipco and ipma; of JPEG the segments; of TIFF the picture that is meant.
 """
 
 from __future__ import annotations
 
-import io
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,15 +14,12 @@ from enum import Enum, IntEnum
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-
-if TYPE_CHECKING:
-    from PIL.JpegImagePlugin import JpegImageFile
 
 APPLE_GAIN_MAP = "urn:com:apple:photo:2020:aux:hdrgainmap"  # a HEIC's auxiliary picture
 _MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
@@ -264,64 +260,6 @@ def _of_item(data: bytes, item: int) -> Iterator[int]:
             at += 2 if wide else 1
             if each == item:
                 yield index & (0x7FFF if wide else 0x7F)
-
-
-# Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
-
-_FRAMES = (0xC0, 0xC1, 0xC2, 0xC9, 0xCA)
-_LOSSLESS_OR_HIERARCHICAL = (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF)
-
-
-def unsupported_jpeg(path: Path) -> str:
-    """The coding mode, such as "JPEG of 12 bits", if it is not supported; else ""."""
-    with path.open("rb") as file:
-        for marker, data in jpeg_segments(file):
-            if marker in _LOSSLESS_OR_HIERARCHICAL:
-                return "lossless or hierarchical JPEG"
-            if marker in _FRAMES:
-                return f"JPEG of {data[0]} bits" if data and data[0] != 8 else ""
-    return ""
-
-
-# JPEGs that lack their end marker alone, as copies and network cameras leave them.
-
-_NO_END = "The JPEG lacks its end marker; all of its picture is there."
-_END = b"\xff\xd9"
-# Appended in turn: where a picture lacks codes, they decode to different ones.
-_FILLERS = (b"", b"\x5a" * 64, b"\xa5\x13" * 64)
-
-
-def loaded_jpeg(image: JpegImageFile, path: Path) -> tuple[JpegImageFile, tuple[str, ...]]:
-    """A JPEG file with its pixels decoded, and a note if only its end marker was missing.
-
-    Raises:
-        OSError: it is truncated.
-    """
-    try:
-        image.load()
-    except OSError:
-        whole = _with_end(path)
-        if whole is None:
-            raise
-        image = type(image)(io.BytesIO(whole))
-        image.load()
-        return image, (_NO_END,)
-    return image, ()
-
-
-def _with_end(path: Path) -> bytes | None:
-    """A JPEG's bytes with an end marker, if that is all it lacks; else None."""
-    from PIL.JpegImagePlugin import JpegImageFile
-
-    data = path.read_bytes().rstrip(b"\0\xff")
-    if _END in data[data.rfind(b"\xff\xda") :]:
-        return None
-    pictures = (JpegImageFile(io.BytesIO(data + filler + _END)) for filler in _FILLERS)
-    try:
-        same = len({picture.tobytes() for picture in pictures}) == 1
-    except (OSError, SyntaxError, ValueError):
-        return None
-    return data + _END if same else None
 
 
 def pillow_reader(kind: FileKind) -> Any:  # noqa: ANN401

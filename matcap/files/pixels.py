@@ -33,14 +33,12 @@ from matcap.files.containers import (
     check_pixels,
     decoding,
     kind_of,
-    loaded_jpeg,
     meant_picture,
     missing_extra,
     pillow_reader,
     read_head,
     unreadable,
     unsupported,
-    unsupported_jpeg,
 )
 from matcap.files.exr import forget_error, meant_layer, radiance_header, stated_primaries, write_exr
 from matcap.files.names import check_suffix, note
@@ -247,8 +245,6 @@ def _by_pillow(path: Path, kind: FileKind, long_side: int | None) -> Pixels:
         reader = pillow_reader(kind)
     except ImportError as error:
         raise unsupported(path, f"{kind.value} by the Pillow that is installed") from error
-    if kind is FileKind.JPEG and (coding := unsupported_jpeg(path)):
-        raise unsupported(path, coding)
     with path.open("rb") as file:
         image = reader(file)
         size = image.size
@@ -257,11 +253,9 @@ def _by_pillow(path: Path, kind: FileKind, long_side: int | None) -> Pixels:
             enough = long_side is not None and 2 * long_side <= max(size)
             if size[0] * size[1] > _LARGE and enough:
                 image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
-            image, notes = loaded_jpeg(image, path)
-        else:
-            image.load()
-            several = getattr(image, "n_frames", 1) > 1
-            notes = ("The first of several pictures is read.",) if several else ()
+        image.load()
+        several = kind is not FileKind.JPEG and getattr(image, "n_frames", 1) > 1
+        notes = ("The first of several pictures is read.",) if several else ()
     if image.mode not in _MODES:
         if kind is FileKind.JPEG:
             raise unsupported(path, f"a JPEG of {image.mode} colours")

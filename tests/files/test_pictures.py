@@ -416,22 +416,3 @@ def test_an_unknown_interop_id_is_noted(tmp_path):
     colours, notes = linear_colours(read_pixels(tmp_path / "a.exr"))
     assert colours[0, 0, 0] == 0.5
     assert "lin_martian_scene" in notes[0]
-
-
-@pytest.mark.parametrize("progressive", [False, True])
-@pytest.mark.parametrize("cut", [1, 2, 3, 5, 40])
-def test_a_jpeg_may_lack_its_end_marker_and_no_more(tmp_path, progressive, cut):
-    codes = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
-    path = tmp_path / "a.jpg"
-    Image.fromarray(codes).save(path, progressive=progressive)
-    expected, photo = read_pixels(path), load_photo(path)
-    path.write_bytes(path.read_bytes()[:-cut])
-    if cut > 2:
-        for read in (read_pixels, load_photo):
-            with pytest.raises(MatcapError, match="truncated"):
-                read(path)
-        return
-    pixels = read_pixels(path)
-    np.testing.assert_array_equal(pixels.stored, expected.stored)
-    assert "end marker" in pixels.notes[0]
-    np.testing.assert_array_equal(load_photo(path).pixels, photo.pixels)
