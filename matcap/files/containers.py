@@ -175,8 +175,6 @@ class Properties:
     """ICC profile, or None."""
     code_points: tuple[int, int] | None = None
     """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
-    bits: int = 8
-    """Bits per channel (pixi), 8 if absent."""
 
 
 def primary_properties(path: Path) -> Properties:
@@ -208,8 +206,6 @@ def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
         return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
     if name == b"colr" and data[:4] in (b"prof", b"rICC"):
         return replace(properties, profile=data[4:])
-    if name == b"pixi" and len(data) > 5:
-        return replace(properties, bits=max(data[5 : 5 + data[4]]))
     return properties
 
 
@@ -306,7 +302,6 @@ class Tag(IntEnum):
     Orientation = 274
     WhitePoint = 318
     PrimaryChromaticities = 319
-    XMP = 700
     CFARepeatPatternDim = 33421
     CFAPattern = 33422
     ExifIFD = 34665
