@@ -10,16 +10,20 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from matcap.errors import UsageError
 from matcap.example.example import Example
+from matcap.field.material import Material
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.files.names import read_document
 from matcap.files.pixels import jpeg_bytes
-from matcap.photo.load import RAW_SUFFIXES
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.rectify import picture_of, rectify
+from matcap.photo.load import RAW_SUFFIXES, load_photo
+from matcap.photo.photo import ToneCurve, standing
 from matcap.view.level_of_detail import (
     ALBEDO,
     ALPHA2,
@@ -32,12 +36,6 @@ from matcap.view.level_of_detail import (
     halved,
 )
 from matcap.view.subject import Viewable
-
-if TYPE_CHECKING:
-    from matcap.field.material import Material
-    from matcap.flash.geometry import FlashSetup
-    from matcap.photo.photo import ToneCurve
-
 
 # Pages: rectangles of the endless plane, at mip levels, that the browser fetches.
 #
@@ -95,10 +93,14 @@ class Page:
 
 
 class Pages:
-    """Computes and caches the pages of a subject; thread-safe."""
+    """Computes and caches the pages of a subject; thread-safe.
+
+    Attributes:
+        subject: of the pages.
+    """
 
     def __init__(self, subject: Viewable, workers: int | None = None) -> None:
-        self._subject = subject
+        self.subject = subject
         self._makers = ThreadPoolExecutor(workers or os.cpu_count(), thread_name_prefix="page")
         self._kept: OrderedDict[Place, Future[Page]] = OrderedDict()
         self._lock = Lock()
@@ -132,7 +134,7 @@ class Pages:
             raise UsageError(says, remedy=f"give one from 0 to {MOST_LEVEL}")
         if max(abs(area.x), abs(area.y)) << level > COORDINATE_LIMIT:
             raise UsageError("this page lies beyond 2^40 texels", remedy="stay nearer")
-        moments, texel_size = self._subject.moments(level, area, seed=place.seed, share=place.share)
+        moments, texel_size = self.subject.moments(level, area, seed=place.seed, share=place.share)
         return packed(moments, texel_size)
 
 
@@ -197,8 +199,6 @@ def reference_photograph(
     Raises:
         MatcapError: the photograph cannot be read.
     """
-    from matcap.photo.photo import ToneCurve
-
     folder = path if path.is_dir() else path.parent
     report = read_document(folder / "report.json", "matcap report") or {}
     file = photo or find_photograph(path, name) or reported_photograph(report)
@@ -237,15 +237,10 @@ def browser_picture(
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
     """
-    from matcap.photo.load import load_photo
-    from matcap.photo.photo import standing
-
     photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
     photo = photo if tone is None else photo.linearised(tone)
     linear = photo.pixels
     if setup is not None:
-        from matcap.flash.rectify import picture_of, rectify
-
         linear = picture_of(rectify(photo, setup, linear.shape[1])[0])
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:
