@@ -23,6 +23,7 @@ from matcap.export.textures import (
     standard_surface,
     standard_textures,
 )
+from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
 # Mitsuba 3 scenes: the maps under `matcap relight`'s light "top".
 #
@@ -125,8 +126,6 @@ def _blend_specular(piece: MapRows) -> Picture:
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     """The scene file: a rectangle from straight above, under one point light."""
-    from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
-
     width, height = job.extent
     shrunk = min(1.0, _LARGEST_FILM / max(job.maps.size))
     pixels = [max(1, round(side * shrunk)) for side in job.maps.size]

@@ -17,6 +17,7 @@ from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_
 from matcap.export.formats import Picture
 from matcap.export.job import ExportJob
 from matcap.export.texture_file import TextureFile
+from matcap.relight.environment_map import albedo
 
 # Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).
 #
@@ -213,8 +214,6 @@ def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tenso
 @lru_cache(maxsize=1)
 def _tables() -> Tensor:
     """(1, 2, 64, 64) tables b and b + s of the albedo F0 s + b, by roughness and sqrt(n.v)."""
-    from matcap.relight.environment_map import albedo
-
     made = albedo()
     return torch.stack([torch.from_numpy(made.bias), torch.from_numpy(made.total)])[None]
 

@@ -56,6 +56,7 @@ from matcap.export.shading import Residual, residuals
 from matcap.export.texture_file import WRITERS
 from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
+from matcap.field.opened import open_tile
 from matcap.files.names import MAKER_VERSION, plain_name, sanitised_name
 from matcap.files.output import Output, check_output
 from matcap.files.settings import known
@@ -138,8 +139,6 @@ def export_mapset(
         UsageError: no such target.
         MatcapError: no map set, a full disk, an unwritable folder.
     """
-    from matcap.field.opened import open_tile
-
     opened = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
     millimetres = known_scale(opened.provenance)

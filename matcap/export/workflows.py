@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, get_args
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -73,8 +74,6 @@ class FittedTables:
 
     @staticmethod
     def _at(table: Picture, f0: Picture, roughness: Picture) -> Picture:
-        import cv2
-
         if np.ptp(table) < 1e-5:  # most tables are 1 throughout
             return np.full_like(f0, table.flat[0])
         if f0.ndim == 3:

@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -122,8 +123,6 @@ def _measured(
     tile: NDArray[np.uint16], black: NDArray[np.float64], white: float
 ) -> NDArray[np.float64]:
     """(3, blocks) relative variance, and its value for shot noise of 1 and for read noise of 1."""
-    import cv2
-
     numbers = tile.astype(np.float32)
     signal = numbers - _tiled(black, tile.shape)
     smooth = np.empty_like(signal)
@@ -373,8 +372,6 @@ def _saturated(
     Also the share of clipped photosites, of the colour with the largest one. A channel with a
     white-balance gain above 1 is clipped by LibRaw at the white level divided by the gain.
     """
-    import cv2
-
     mosaic = raw.raw_image_visible
     lift = np.array([*balance, balance[1]])
     black = np.array(raw.black_level_per_channel, np.float64)

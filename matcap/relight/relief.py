@@ -10,6 +10,7 @@ from functools import cached_property
 from itertools import count
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from matcap.relight.camera import Array
@@ -157,8 +158,6 @@ class Relief:
 
 def _highest(field: Array, reach: int, mode: Literal["wrap", "edge"]) -> Array:
     """Maximum filter over a square of 2 reach + 1 texels (separable)."""
-    import cv2
-
     for axis, size in enumerate(field.shape):
         if 2 * reach + 1 >= size:
             field = np.broadcast_to(field.max(axis=axis, keepdims=True), field.shape)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from matcap.brdf.edited import check_heights
@@ -478,8 +479,6 @@ class ForeignMaps:
         Raises:
             MatcapError: another aspect ratio.
         """
-        import cv2
-
         size, (height, width) = self.size, values.shape[1:]
         if (width, height) == size:
             return np.ascontiguousarray(values, dtype=np.float32)
