@@ -223,7 +223,6 @@ def _tables() -> Tensor:
 # A TargetSurface has the target's parameters as read from its files, rounding included, and its
 # shading model (shading.py).
 
-
 # Directions of the residual, in degrees: angles of view and light to +z, azimuths of the light.
 _VIEWS = (0.0, 45.0)
 _LIGHTS = (15.0, 40.0, 65.0)

@@ -38,7 +38,6 @@ from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, pro
 #
 # Read next: render.py, pictures of whole map sets.
 
-
 # Squared distance from the centre of the corner of a 4:3 picture, the unit of vignetting.
 CORNER_SQUARED = 1.25**2
 DARKEST = 1e-5  # radiance (1 at clipping) below which logarithms are clamped

@@ -31,7 +31,6 @@ from matcap.photo.raw_samples import plain_dng
 # Captures need it because noise resembles texture: the same noise is added to renderings before
 # they are compared with the photograph (space/tuning/finetune.py).
 
-
 # Mixed second difference [immerkaer1996]: 0 for images that are linear along x or y, of unit gain
 # for noise.
 _CHECKER = np.outer((1.0, -2.0, 1.0), (1.0, -2.0, 1.0)).astype(np.float32) / 6.0
@@ -193,7 +192,6 @@ def _tiled(black: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.flo
 #
 # Noise is sampled on the mosaic and developed in the same way, so that the effects of demosaicing,
 # colour conversion and downsampling on it need no model.
-
 
 # Share of the white level from which on photosites count as clipped; they saturate a little below.
 CLIP_SHARE = 0.99

@@ -244,7 +244,6 @@ def _wrapped(level: Array) -> Array:
 # The map stays latitude-longitude, with a mip pyramid; a lookup turns its direction by the light's
 # rotation.
 
-
 # Columns of the latitude-longitude grid that integrals sum over; it has half as many rows.
 _SUMMED = 256
 # Side of the octahedral table of irradiance by normal.

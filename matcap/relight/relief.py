@@ -31,7 +31,6 @@ from matcap.relight.texture import Texture
 
 # The height field that displaces a surface: bilinear between texel centres.
 
-
 # Offset of shadow rays above the surface, over the relief's height range, against rounding.
 _LIFT = 2e-6
 # clear_tangents bounds occluders by slope within _NEAR texels, by height in rings up to these.

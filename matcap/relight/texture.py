@@ -163,7 +163,6 @@ def _differences(field: Array, axis: int) -> Array:
 
 # Texture lookups: bilinear, or trilinear in a mip pyramid with slope variance [olano2010].
 
-
 # Distance from texel centres, in texels, within which lookups return the texels themselves.
 _ALIGNED = 1e-3
 

@@ -106,7 +106,6 @@ def _convolve_fused(
 # A rectangle is decoded either as a torus (`periodic=True`) or with a halo of noise around it,
 # which the caller cuts off; no border is padded.
 
-
 CODE_SIZE = 64  # dimensions of the latent vector, as in the paper
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH

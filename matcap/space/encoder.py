@@ -27,7 +27,6 @@ from matcap.statistics.compare import (
 # its position), parameters of the coarse fit, and texture statistics. Residual blocks [he2016] are
 # fewer than the paper's, with group normalisation, as a batch has few materials.
 
-
 NUMBERS = 16  # parameters of the coarse fit (space/encoder.py)
 TEXTURE = 231  # texture statistics at full resolution (space/encoder.py)
 
@@ -97,7 +96,6 @@ def _features() -> tuple[nn.Module, int]:
 #
 # The encoder's image is too small to show fine texture. Autocorrelation, contrast and quantiles of
 # windows at full resolution describe it.
-
 
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # of the texture loss in training
 # Gram matrices are no inputs of the encoder; one filter keeps them small.

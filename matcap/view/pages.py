@@ -48,7 +48,6 @@ from matcap.view.subject import Viewable
 # variance (four floats); height (a float). Where F0 has a colour, its red is next to the albedo,
 # and its green and blue (two half floats) follow the height.
 
-
 # With their apron powers of two, so that texture coordinates are exact on graphics cards.
 WIDTH, PAGE_HEIGHT = 496, 240
 APRON = 8  # texels, so that one is left at the smallest mip level

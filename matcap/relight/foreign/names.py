@@ -31,7 +31,6 @@ from matcap.files.settings import bounded
 # map decides; several in a row are a packed map (_channels). The vocabulary is that of the sources
 # above, of Blender's Node Wrangler, and of Quixel, Substance, Textures.com and 3DTextures.
 
-
 # Formats that are read; of two files of one map, the one with the earlier suffix.
 READ_SUFFIXES = (
     ".exr", ".tif", ".tiff", ".tx", ".png", ".tga", ".bmp", ".webp", ".jpg", ".jpeg", ".jpe",

@@ -42,7 +42,6 @@ from matcap.statistics.lattice import Wave, find_lattice
 # The network then learns differences from the coarse fit only. Both fold exactly into the decoder's
 # last AdaIN (`fold`), so that a material's decoder outputs raw values.
 
-
 VARYING = 8  # numbers of a base that differ between materials: 5 means, 3 colour deviations
 
 _CONTRASTS = (0.02, 1.5)  # limits of the deviation of log colour
@@ -100,7 +99,6 @@ def fold(decoder: Decoder, base: Base) -> Decoder:
 
 
 # Contact sheet of materials.
-
 
 _COLUMNS = 4  # materials in a row
 _BRIGHTNESS = 0.25  # mean radiance of every tile
@@ -231,7 +229,6 @@ def origin() -> Anchor:
 # JSON metadata. Nothing in it is executed; every shape is checked against the description, and an
 # error names the tensor. The alignment branch has a file of its own (flash/alignment.py), as
 # captures need it without the prior.
-
 
 FORMAT = "matcap-prior"
 # Version 2 added structured noise; version 3 moved the alignment branch to its own file.
