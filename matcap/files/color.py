@@ -111,7 +111,7 @@ def srgb_slope(light: CodeValues) -> CodeValues:
 #
 # A file states its colour space by an ICC profile (stated_color.py), by code points (ITU-T H.273:
 # cICP in
-# PNG, nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
+# PNG, nclx in HEIC) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
 # ColorSpace. The sRGB curve is in color.py, primaries are in color.py.
 #
 # Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2

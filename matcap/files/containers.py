@@ -1,15 +1,13 @@
 """Kinds of picture files by their first bytes, refusals, and what image decoders do not return.
 
-Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, by the boxes meta,
-pitm, iprp, ipco and ipma; of JPEG the segments; of TIFF the picture that is meant.
+Of JPEG the segments, of TIFF the picture that is meant.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 from importlib import import_module
 from itertools import islice
@@ -22,7 +20,6 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 
 APPLE_GAIN_MAP = "urn:com:apple:photo:2020:aux:hdrgainmap"  # a HEIC's auxiliary picture
-_MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
 
 
 class FileKind(Enum):
@@ -164,100 +161,6 @@ def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
     )
 
 
-# Properties of the primary picture of a HEIC or AVIF.
-
-
-@dataclass(frozen=True)
-class Properties:
-    """Properties of the primary picture."""
-
-    profile: bytes | None = None
-    """ICC profile, or None."""
-    code_points: tuple[int, int] | None = None
-    """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
-
-
-def primary_properties(path: Path) -> Properties:
-    """Read the properties of a file's primary picture.
-
-    Raises:
-        ValueError, struct.error, IndexError: the file is damaged.
-        OSError: the file cannot be read.
-    """
-    meta = _meta(path)[4:]  # a full box: version and flags first
-    boxes = dict(_boxes(meta))
-    primary = boxes[b"pitm"]
-    wide = primary[0] > 0
-    (item,) = struct.unpack_from(">I" if wide else ">H", primary, 4)
-    groups = list(_boxes(boxes[b"iprp"]))
-    shared = list(_boxes(dict(groups)[b"ipco"]))
-    properties = Properties()
-    for name, data in groups:
-        if name != b"ipma":
-            continue
-        for index in _of_item(data, item):
-            if 0 < index <= len(shared):
-                properties = _with(properties, *shared[index - 1])
-    return properties
-
-
-def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
-    if name == b"colr" and data[:4] == b"nclx":
-        return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
-    if name == b"colr" and data[:4] in (b"prof", b"rICC"):
-        return replace(properties, profile=data[4:])
-    return properties
-
-
-def _meta(path: Path) -> bytes:
-    with path.open("rb") as file:
-        while len(head := file.read(8)) == 8:
-            size, name = struct.unpack(">I4s", head)
-            begun = 8
-            if size == 1:
-                (size,) = struct.unpack(">Q", file.read(8))
-                begun = 16
-            if name == b"meta" and begun <= size <= _MOST:
-                return file.read(size - begun)
-            if size < begun:
-                break
-            file.seek(size - begun, 1)
-    raise ValueError("no meta box")
-
-
-def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    at = 0
-    while at + 8 <= len(data):
-        size, name = struct.unpack_from(">I4s", data, at)
-        begun = 8
-        if size == 1:
-            (size,) = struct.unpack_from(">Q", data, at + 8)
-            begun = 16
-        elif size == 0:
-            size = len(data) - at
-        if size < begun:
-            raise ValueError("a box shorter than its head")
-        yield name, data[at + begun : at + size]
-        at += size
-
-
-def _of_item(data: bytes, item: int) -> Iterator[int]:
-    """Indices, from 1, of the properties of an item in an ipma box."""
-    version, wide = data[0], data[3] & 1
-    (count,) = struct.unpack_from(">I", data, 4)
-    at = 8
-    for _ in range(count):
-        (each,) = struct.unpack_from(">H" if version < 1 else ">I", data, at)
-        at += 2 if version < 1 else 4
-        links = data[at]
-        at += 1
-        for _ in range(links):
-            (index,) = struct.unpack_from(">H" if wide else ">B", data, at)
-            at += 2 if wide else 1
-            if each == item:
-                yield index & (0x7FFF if wide else 0x7F)
-
-
 def pillow_reader(kind: FileKind) -> Any:  # noqa: ANN401
     """Pillow's class of JPEG, WebP or AVIF files; its Image.open refuses large pictures.
 
@@ -269,7 +172,7 @@ def pillow_reader(kind: FileKind) -> Any:  # noqa: ANN401
 
 
 def pillow_info(path: Path, kind: FileKind) -> dict[str, Any]:
-    """Metadata of a JPEG or WebP by Pillow's names, wherever they stand; empty if it is damaged."""
+    """Metadata of a JPEG, WebP or AVIF by Pillow's names, wherever they stand; empty if damaged."""
     try:
         with path.open("rb") as file:
             return dict(pillow_reader(kind)(file).info)

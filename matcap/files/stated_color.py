@@ -231,8 +231,8 @@ def _to_8_bits(
 # | PNG | cICP, iCCP, sRGB, gAMA with cHRM (PNG 3rd edition, 11.3.2) |
 # | JPEG | ICC profile; Exif's InteroperabilityIndex R03, Adobe RGB (DCF 2.0) |
 # | TIFF | ICC profile; R03; WhitePoint with PrimaryChromaticities (TIFF 6.0, section 20) |
-# | WebP | ICC profile |
-# | HEIC, AVIF | ICC profile; nclx (ISO/IEC 23008-12) |
+# | WebP, AVIF | ICC profile |
+# | HEIC | ICC profile; nclx (ISO/IEC 23008-12) |
 #
 # Files without a statement are sRGB. A statement that cannot be read gives a note. EXR files state
 # primaries (rec709.rec709_from).
@@ -283,7 +283,7 @@ def _stated(path: Path, head: bytes, page: int) -> StatedColor:
     kind = containers.kind_of(head)
     if kind is FileKind.PNG:
         return _of_png(dict(png_chunks(path)))
-    if kind in (FileKind.JPEG, FileKind.WEBP):
+    if kind in (FileKind.JPEG, FileKind.WEBP, FileKind.AVIF):
         info = containers.pillow_info(path, kind)
         if "icc_profile" in info:  # None where one of its parts is missing
             return StatedColor(info["icc_profile"] or b"incomplete")
@@ -291,12 +291,17 @@ def _stated(path: Path, head: bytes, page: int) -> StatedColor:
         return _of_exif(exif) if exif else StatedColor()
     if kind is FileKind.TIFF:
         return _of_tiff(path, page)
-    if kind not in (FileKind.HEIC, FileKind.AVIF):
-        return StatedColor()
-    properties = containers.primary_properties(path)
-    if properties.profile is not None or properties.code_points is None:
-        return StatedColor(properties.profile)
-    return _of_code_points(*properties.code_points, "nclx")
+    return _of_heic(path) if kind is FileKind.HEIC else StatedColor()
+
+
+def _of_heic(path: Path) -> StatedColor:
+    import pillow_heif
+
+    info: dict[str, Any] = pillow_heif.open_heif(path).info
+    profile, stated = info.get("icc_profile"), info.get("nclx_profile")
+    if profile or not stated:
+        return StatedColor(profile)
+    return _of_code_points(stated["color_primaries"], stated["transfer_characteristics"], "nclx")
 
 
 def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
