@@ -14,9 +14,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-from numpy.typing import NDArray
-
 from matcap.errors import MatcapError
 
 APPLE_GAIN_MAP = "urn:com:apple:photo:2020:aux:hdrgainmap"  # a HEIC's auxiliary picture
@@ -162,17 +159,18 @@ def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
 
 
 def pillow_reader(kind: FileKind) -> Any:  # noqa: ANN401
-    """Pillow's class of JPEG, WebP or AVIF files; its Image.open refuses large pictures.
+    """Pillow's class of JPEG, PNG, WebP or AVIF files; its Image.open refuses large pictures.
 
     Raises:
         ImportError: this Pillow has none.
     """
-    name = {FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}.get(kind, "Jpeg")
+    names = {FileKind.PNG: "Png", FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}
+    name = names.get(kind, "Jpeg")
     return getattr(import_module(f"PIL.{name}ImagePlugin"), f"{name}ImageFile")
 
 
 def pillow_info(path: Path, kind: FileKind) -> dict[str, Any]:
-    """Metadata of a JPEG, WebP or AVIF by Pillow's names, wherever they stand; empty if damaged."""
+    """Metadata of a JPEG, PNG, WebP or AVIF by Pillow's names; empty if it is damaged."""
     try:
         with path.open("rb") as file:
             return dict(pillow_reader(kind)(file).info)
@@ -203,8 +201,6 @@ class Tag(IntEnum):
     """
 
     Orientation = 274
-    WhitePoint = 318
-    PrimaryChromaticities = 319
     CFARepeatPatternDim = 33421
     CFAPattern = 33422
     ExifIFD = 34665
@@ -263,26 +259,8 @@ class TiffPicture:
     """Index of its page."""
     compression: str = ""
     """Name of its compression, if not every OpenImageIO decodes that; else ""."""
-    white_is_zero: bool = False
-    """Whether the least code is white."""
     notes: tuple[str, ...] = ()
     """Notes on other pages."""
-
-    def as_meant(self, stored: NDArray[Any], alpha: int) -> NDArray[Any]:
-        """Values (H, W, C) as OpenImageIO reads them, with stored white as the largest value.
-
-        Where WhiteIsZero, OpenImageIO inverts all channels of up to 8 bits, and none of others.
-
-        Args:
-            alpha: index of the channel of alpha, or negative.
-        """
-        if not self.white_is_zero:
-            return stored
-        eight = stored.dtype == np.uint8
-        wrong = [c for c in range(stored.shape[-1]) if (c == alpha) == eight]
-        largest = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
-        stored[..., wrong] = stored.dtype.type(largest) - stored[..., wrong]
-        return stored
 
 
 def meant_picture(path: Path) -> TiffPicture:
@@ -315,6 +293,8 @@ def meant_picture(path: Path) -> TiffPicture:
             raise unsupported(
                 path, "a TIFF whose picture is in a sub-directory behind a smaller one"
             )
+        if photometric == WHITE_IS_ZERO and bits > 8:  # up to 8, OpenImageIO inverts them
+            raise unsupported(path, f"a TIFF of {bits} bits whose least code is white")
         if photometric in _NO_RGB:
             raise unsupported(path, f"a TIFF of {_NO_RGB[photometric]} colours")
         if photometric in GREYS and bands > 4:
@@ -326,6 +306,5 @@ def meant_picture(path: Path) -> TiffPicture:
         return TiffPicture(
             chosen,
             "" if usual else str(getattr(page.compression, "name", code)).upper(),
-            photometric == WHITE_IS_ZERO,
             (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
         )

@@ -339,7 +339,7 @@ def _by_openimageio(
         source.close()
     if stored is None or said:
         raise _not_decoded(path, kind, page, said)
-    stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
+    stored, partial = np.asarray(stored), False
     if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
         stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
     if exr:  # in other formats an offset is the position on a page

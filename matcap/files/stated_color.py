@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import io
+import math
 import struct
 import warnings
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -224,22 +224,20 @@ def _to_8_bits(
     return lambda rows: np.rint(np.clip(rows.astype(np.float32) * scale, 0, 255)).astype(np.uint8)
 
 
-# The colour space that an image file states: by ICC profile, code points, Exif or chunks.
+# The colour space that an image file states: by ICC profile, code points, Exif or gamma.
 #
 # | format | stated by, the first that is present |
 # | --- | --- |
-# | PNG | cICP, iCCP, sRGB, gAMA with cHRM (PNG 3rd edition, 11.3.2) |
+# | PNG | iCCP, sRGB, gAMA (PNG 3rd edition, 11.3.2) |
 # | JPEG | ICC profile; Exif's InteroperabilityIndex R03, Adobe RGB (DCF 2.0) |
-# | TIFF | ICC profile; R03; WhitePoint with PrimaryChromaticities (TIFF 6.0, section 20) |
+# | TIFF | ICC profile |
 # | WebP, AVIF | ICC profile |
 # | HEIC | ICC profile; nclx (ISO/IEC 23008-12) |
 #
 # Files without a statement are sRGB. A statement that cannot be read gives a note. EXR files state
 # primaries (rec709.rec709_from).
 
-_MOST_CHUNK = 1 << 26  # bytes; larger chunks are skipped, as a header may claim any size
 _UNCALIBRATED = 65535
-_DECODED = 1 << 24  # most bytes of a decompressed profile
 
 
 @dataclass(frozen=True)
@@ -281,12 +279,12 @@ def stated_color(path: Path, page: int = 0) -> StatedColor:
 
 def _stated(path: Path, head: bytes, page: int) -> StatedColor:
     kind = containers.kind_of(head)
-    if kind is FileKind.PNG:
-        return _of_png(dict(png_chunks(path)))
-    if kind in (FileKind.JPEG, FileKind.WEBP, FileKind.AVIF):
+    if kind in (FileKind.PNG, FileKind.JPEG, FileKind.WEBP, FileKind.AVIF):
         info = containers.pillow_info(path, kind)
         if "icc_profile" in info:  # None where one of its parts is missing
             return StatedColor(info["icc_profile"] or b"incomplete")
+        if kind is FileKind.PNG:
+            return StatedColor() if "srgb" in info else _of_gamma(info.get("gamma", 1.0 / 2.2))
         exif = info.get("exif") if kind is FileKind.JPEG else None
         return _of_exif(exif) if exif else StatedColor()
     if kind is FileKind.TIFF:
@@ -302,36 +300,6 @@ def _of_heic(path: Path) -> StatedColor:
     if profile or not stated:
         return StatedColor(profile)
     return _of_code_points(stated["color_primaries"], stated["transfer_characteristics"], "nclx")
-
-
-def png_chunks(path: Path) -> Iterator[tuple[bytes, bytes]]:
-    """(type, data) of a PNG's chunks except image data, up to where the file is truncated."""
-    with path.open("rb") as file:
-        file.seek(8)
-        while len(head := file.read(8)) == 8:
-            (size,) = struct.unpack(">I", head[:4])
-            if head[4:] in (b"IDAT", b"fdAT") or size > _MOST_CHUNK:
-                file.seek(size + 4, 1)
-                continue
-            data = file.read(size)
-            if len(data) < size or head[4:] == b"IEND":
-                return
-            file.seek(4, 1)
-            yield head[4:], data
-
-
-def _of_png(chunks: dict[bytes, bytes]) -> StatedColor:
-    """The statement of a PNG's chunks."""
-    if len(chunks.get(b"cICP", b"")) >= 2:
-        return _of_code_points(chunks[b"cICP"][0], chunks[b"cICP"][1], "cICP")
-    if b"iCCP" in chunks:
-        return StatedColor(_inflated(chunks[b"iCCP"]))
-    if b"sRGB" in chunks or not {b"gAMA", b"cHRM"} & chunks.keys():
-        return StatedColor()
-    try:
-        return _of_gamma(chunks.get(b"gAMA"), chunks.get(b"cHRM"))
-    except (ValueError, struct.error, ZeroDivisionError):
-        return StatedColor(notes=(assumed(SRGB, "gAMA and cHRM"),))
 
 
 def _of_exif(exif: bytes) -> StatedColor:
@@ -358,32 +326,16 @@ def _of_code_points(primaries: int, transfer: int, name: str) -> StatedColor:
     return StatedColor(space=space, notes=converted(space))
 
 
-def _of_gamma(gamma: bytes | None, corners: bytes | None) -> StatedColor:
-    """The statement of gAMA and cHRM; 0.45455 with sRGB's primaries, or none, means sRGB."""
-    primaries = None
-    if corners is not None:
-        white_x, white_y, *rest = (v / 100_000.0 for v in struct.unpack(">8I", corners))
-        primaries = (*rest, white_x, white_y)
-    exponent = None if gamma is None else 100_000.0 / struct.unpack(">I", gamma)[0]
-    usual = exponent is None or abs(exponent - 2.2) < 0.01
-    if exponent is not None and not 0.1 < exponent < 10.0:
-        raise ValueError("an exponent that no picture has")
-    flat = exponent is not None and abs(exponent - 1.0) < 1e-3
-    curve = linear if flat else power(exponent or 2.2)
-    said = [] if exponent is None else [f"gamma {exponent:.3g}"]
-    said += ["primaries"] if primaries is not None else []
-    space = space_of_primaries(primaries, curve, " and ".join(said))
-    if usual and space.matrix is None:
+def _of_gamma(gamma: float) -> StatedColor:
+    """The statement of a PNG's gAMA; 0.45455 means sRGB."""
+    exponent = 1.0 / gamma if gamma > 0.0 else math.inf
+    if not 0.1 < exponent < 10.0:  # which no picture has
+        return StatedColor(notes=(assumed(SRGB, "gAMA"),))
+    if abs(exponent - 2.2) < 0.01:
         return StatedColor()
-    if exponent is None:
-        space = ColorSpace("primaries", SRGB.curves, space.matrix)
+    curve = linear if abs(exponent - 1.0) < 1e-3 else power(exponent)
+    space = ColorSpace(f"gamma {exponent:.3g}", (curve,) * 3)
     return StatedColor(space=space, notes=converted(space))
-
-
-def _inflated(chunk: bytes) -> bytes:
-    """The profile of an iCCP chunk: a name, a zero, the method 0, deflated bytes."""
-    start = chunk.index(b"\0") + 2
-    return zlib.decompressobj().decompress(chunk[start:], _DECODED)
 
 
 def _of_tiff(path: Path, page: int) -> StatedColor:
@@ -391,20 +343,8 @@ def _of_tiff(path: Path, page: int) -> StatedColor:
 
     with tifffile.TiffFile(path) as file:
         chosen: Any = file.pages.get(page)
-        tags = chosen.tags
-        if Tag.InterColorProfile in tags:
-            return StatedColor(bytes(tags[Tag.InterColorProfile].value))
-        stated = tuple(
-            tags[t].value if t in tags else () for t in (Tag.PrimaryChromaticities, Tag.WhitePoint)
-        )
-    corners, white = (np.ravel(values).astype(np.float64) for values in stated)
-    if len(corners) == 12 and len(white) == 4:
-        primaries = np.concatenate([corners, white]).reshape(-1, 2)
-        space = space_of_primaries(
-            (primaries[:, 0] / primaries[:, 1]).tolist(), SRGB.curves[0], "primaries"
-        )
-        if space.matrix is not None:
-            return StatedColor(space=space, notes=converted(space))
+        if Tag.InterColorProfile in chosen.tags:
+            return StatedColor(bytes(chosen.tags[Tag.InterColorProfile].value))
     return StatedColor()
 
 

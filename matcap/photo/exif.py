@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from matcap.files.containers import FileKind, kind_of, pillow_info
-from matcap.files.stated_color import png_chunks
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)
@@ -119,9 +118,7 @@ def read_exif(source: Path | bytes) -> Exif:
         return _interpret(exif_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))))
     with source.open("rb") as file:
         kind = kind_of(file.read(64))
-        if kind is FileKind.PNG:
-            return read_exif(dict(png_chunks(source)).get(b"eXIf", b""))
-        if kind in (FileKind.JPEG, FileKind.WEBP):
+        if kind in (FileKind.PNG, FileKind.JPEG, FileKind.WEBP):
             return read_exif(pillow_info(source, kind).get("exif", b""))
         file.seek(0)
         return _interpret(exif_tags(file))
