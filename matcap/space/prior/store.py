@@ -218,11 +218,6 @@ class Anchors:
         return self[index].near(spread, generator)
 
 
-def origin() -> Anchor:
-    """The origin of the prior's space, without a lattice."""
-    return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
-
-
 # Prior: the trained networks and the model of their space, and its file.
 #
 # One safetensors file: encoder and decoder in half precision, the conditional mean, anchors, and
@@ -231,7 +226,6 @@ def origin() -> Anchor:
 # captures need it without the prior.
 
 FORMAT = "matcap-prior"
-# Version 2 added structured noise; version 3 moved the alignment branch to its own file.
 VERSIONS = (1, 2, 3)
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 # The prior's decoder, trained on to read drawings.
@@ -256,10 +250,10 @@ class Prior:
     """Latent vector and noise to outputs relative to the base (store.py)."""
     conditional_mean: ConditionalMean
     """Model of bases given latent vectors."""
+    anchors: Anchors
+    """Positions of the training photographs."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """How it was trained; JSON."""
-    anchors: Anchors | None = None
-    """Anchors of the training photographs; None draws from the standard normal."""
     digest: str = ""
     """SHA-256 of its file."""
 
@@ -352,10 +346,8 @@ class Prior:
         generator = torch.Generator().manual_seed(seed)
         if near is not None:
             anchor = near.near(spread, generator)
-        elif self.anchors is not None:
-            anchor = self.anchors.draw(spread, generator)
         else:
-            anchor = origin().near(1.0, generator)
+            anchor = self.anchors.draw(spread, generator)
         return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
 
     def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
@@ -379,14 +371,13 @@ class Prior:
         }
         for name, tensor in vars(self.conditional_mean).items():
             tensors[f"habits.{name}"] = tensor.float()
-        if self.anchors is not None:
-            tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
+        tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
         about = {
             "format": FORMAT,
             "version": VERSIONS[-1],
             "encoder": {"backbone": _BACKBONE, "width": self.encoder.config.width},
             "decoder": config_document(self.decoder.config),
-            "anchors": 0 if self.anchors is None else len(self.anchors),
+            "anchors": len(self.anchors),
             "about": dict(self.about),
         }
         write_tensors(path, tensors, {"matcap": json.dumps(about)})
@@ -412,8 +403,8 @@ def load_prior(path: Path | None = None) -> Prior:
                 encoder=stored.load(encoder, "encoder."),
                 decoder=stored.load(decoder, "decoder."),
                 conditional_mean=ConditionalMean(**_tensors(stored, "habits", _MEAN_SHAPES)),
+                anchors=_anchors(stored, int(about["anchors"])),
                 about=about["about"],
-                anchors=_anchors(stored, int(about.get("anchors", 0))),
                 digest=hashlib.sha256(path.read_bytes()).hexdigest(),
             )
     except (SafetensorError, OSError) as error:
@@ -438,10 +429,7 @@ def load_drawing_start() -> Decoder:
         raise MatcapError.at(DRAWING_START, "missing, or damaged", _REMEDY) from error
 
 
-def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
-    """Read the anchors; None if there are none, as in the first priors."""
-    if not count:
-        return None
+def _anchors(stored: StoredTensors, count: int) -> Anchors:
     if not 0 < count <= _MOST_ANCHORS:
         raise ValueError(f"{count} anchors")
     shapes = {"codes": (count, CODE_SIZE), "rests": (count, VARYING), "waves": (count, 2, 2)}
