@@ -10,19 +10,11 @@ from importlib.resources import files as resources
 
 import numpy as np
 
+from matcap.export import textures as tex
 from matcap.export.formats import Picture, brightest_channel
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import (
-    Export,
-    by_file,
-    file_names,
-    height_entry,
-    signed,
-    standard_surface,
-    standard_textures,
-)
 from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
 # Mitsuba 3 scenes: the maps under `matcap relight`'s light "top".
@@ -41,11 +33,11 @@ _LARGEST_FILM = 512
 _VERSION = "3.6.0"
 
 
-def mitsuba(job: ExportJob) -> Export:
+def mitsuba(job: ExportJob) -> tex.Export:
     """NAME.xml, NAME_exact.xml, matcap_bsdf.py and the textures."""
     job.check_formats("Mitsuba", ("png", "jpg", "exr"), floats=True)
-    textures = standard_textures(job)
-    exact_surface = partial(standard_surface, textures)
+    textures = tex.standard_textures(job)
+    exact_surface = partial(tex.standard_surface, textures)
     bare = float(job.diffuse.max()) < _NO_DIFFUSE
     blend = (
         {}
@@ -60,7 +52,7 @@ def mitsuba(job: ExportJob) -> Export:
             ),
         }
     )
-    names = file_names(job.name, textures | blend)
+    names = tex.file_names(job.name, textures | blend)
 
     def surface(read: Reader) -> TargetSurface:
         if bare:
@@ -70,7 +62,7 @@ def mitsuba(job: ExportJob) -> Export:
             read(blend["blend_diffuse"]) * (1.0 - share),
             read(blend["blend_specular"]) * share,
             read(textures["roughness"]),
-            signed(read(textures["normal_gl"])),
+            tex.signed(read(textures["normal_gl"])),
             f90=share,
             shading=TargetShading(masking="separable"),
         )
@@ -86,8 +78,8 @@ def mitsuba(job: ExportJob) -> Export:
     _texture(gloss, "roughness", names["roughness"])
     plain = gloss if bare else _blended(gloss, names)
     script = resources("matcap.export.scripts").joinpath(_SCRIPT).read_bytes()
-    return Export(
-        by_file(job.name, textures | blend),
+    return tex.Export(
+        tex.by_file(job.name, textures | blend),
         {
             f"{job.name}.xml": _scene(job, plain, names["normal_gl"]),
             f"{job.name}_exact.xml": _scene(job, exact, names["normal_gl"]),
@@ -195,14 +187,14 @@ def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) 
 # and displacement are in metres, Blender's unit.
 
 
-def blender(job: ExportJob) -> Export:
+def blender(job: ExportJob) -> tex.Export:
     """NAME_blender.py and its textures."""
-    textures = standard_textures(job)
+    textures = tex.standard_textures(job)
     script = resources("matcap.export.scripts").joinpath("blender_material.py").read_bytes()
-    return Export(
-        by_file(job.name, textures),
+    return tex.Export(
+        tex.by_file(job.name, textures),
         {f"{job.name}_blender.py": script},
-        {"exact": partial(standard_surface, textures)},
+        {"exact": partial(tex.standard_surface, textures)},
         ("needs Blender 4.3 or later, and Cycles for the exact reflectance", *job.size_notes()),
-        {"textures": file_names(job.name, textures)} | height_entry(job, 1.0, 0.0),
+        {"textures": tex.file_names(job.name, textures)} | tex.height_entry(job, 1.0, 0.0),
     )

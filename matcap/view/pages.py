@@ -24,17 +24,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import picture_of, rectify
 from matcap.photo.load import RAW_SUFFIXES, load_photo
 from matcap.photo.photo import ToneCurve, standing
-from matcap.view.level_of_detail import (
-    ALBEDO,
-    ALPHA2,
-    F0,
-    HEIGHT,
-    SLOPE_X,
-    SLOPE_Y,
-    SQUARES,
-    Planes,
-    halved,
-)
+from matcap.view import level_of_detail as lod
 from matcap.view.subject import Viewable
 
 # Pages: rectangles of the endless plane, at mip levels, that the browser fetches.
@@ -137,26 +127,28 @@ class Pages:
         return packed(moments, texel_size)
 
 
-def packed(moments: Planes, texel_size: float) -> Page:
+def packed(moments: lod.Planes, texel_size: float) -> Page:
     """Encode moments (9 or 11, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON) as a page."""
-    rough = np.sqrt(np.sqrt(moments[ALPHA2]))
-    channels = len(moments[F0])
-    ends = tuple((float(m.min()), float(m.max())) for m in (moments[F0], rough, moments[HEIGHT]))
+    rough = np.sqrt(np.sqrt(moments[lod.ALPHA2]))
+    channels = len(moments[lod.F0])
+    ends = tuple(
+        (float(m.min()), float(m.max())) for m in (moments[lod.F0], rough, moments[lod.HEIGHT])
+    )
     parts = []
     for mip in range(MIPS):
-        moments = halved(moments) if mip else moments
-        albedo, metal = _halves(moments[ALBEDO][:4]), _halves(moments[ALBEDO][4:])
+        moments = lod.halved(moments) if mip else moments
+        albedo, metal = _halves(moments[lod.ALBEDO][:4]), _halves(moments[lod.ALBEDO][4:])
         surface = np.empty((*moments.shape[1:], 4), "<f4")
-        surface[..., 0] = moments[ALPHA2]
-        surface[..., 1], surface[..., 2] = moments[SLOPE_X], moments[SLOPE_Y]
+        surface[..., 0] = moments[lod.ALPHA2]
+        surface[..., 1], surface[..., 2] = moments[lod.SLOPE_X], moments[lod.SLOPE_Y]
         # Slope variance: 0 at level 0.
-        varies = np.square(moments[SLOPE_X]) + np.square(moments[SLOPE_Y])
-        surface[..., 3] = np.maximum(moments[SQUARES] - varies, 0.0)
-        parts += [albedo, surface.tobytes(), moments[HEIGHT].astype("<f4").tobytes(), metal]
+        varies = np.square(moments[lod.SLOPE_X]) + np.square(moments[lod.SLOPE_Y])
+        surface[..., 3] = np.maximum(moments[lod.SQUARES] - varies, 0.0)
+        parts += [albedo, surface.tobytes(), moments[lod.HEIGHT].astype("<f4").tobytes(), metal]
     return Page(b"".join(parts), texel_size, ends, channels)
 
 
-def _halves(planes: Planes) -> bytes:
+def _halves(planes: lod.Planes) -> bytes:
     """Bytes of planes as half floats, channels last; empty for no planes."""
     return np.ascontiguousarray(planes.transpose(1, 2, 0)).astype("<f2").tobytes()
 
