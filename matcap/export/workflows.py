@@ -179,10 +179,10 @@ def _nearest(
 # written (presets.py):
 #
 # - plain: metallic is above 0 only where F0 is above 0.2, which no common dielectric reaches. The
-# base colour reproduces the diffuse albedo, metallic the mean F0. - tinted: the same metallic; the
-# base colour is the least-squares compromise of diffuse and F0. - free: base colour, metallic and
-# dielectric F0 minimise the difference of light; exact for maps of a metallic material. Dielectrics
-# may become metallic, so it must be clearly better.
+#   base colour reproduces the diffuse albedo, metallic the mean F0.
+# - tinted: the same metallic; the base colour is the least-squares compromise of diffuse and F0.
+# - free: base colour, metallic and dielectric F0 minimise the difference of light; exact for maps
+#   of a metallic material. Dielectrics may become metallic, so it must be clearly better.
 #
 # shading.residuals measures the remaining error.
 

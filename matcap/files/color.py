@@ -110,9 +110,7 @@ def srgb_slope(light: CodeValues) -> CodeValues:
 # Colour spaces of files: transfer functions and matrices from code values to linear Rec.709.
 #
 # A file states its colour space by an ICC profile (stated_color.py), by code points (ITU-T H.273:
-# cICP in
-# PNG, nclx in HEIC) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
-# ColorSpace. The sRGB curve is in color.py, primaries are in color.py.
+# nclx in HEIC) or by an exponent (gAMA in PNG). Each becomes a ColorSpace.
 #
 # Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2
 # for PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).

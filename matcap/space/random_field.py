@@ -140,7 +140,7 @@ def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
 # correlation beyond its receptive field; periodic inputs give it the phase of the lattice
 # everywhere [bergmann2017]. Two kinds of channel, both of zero mean and unit variance:
 #
-# - *waves*: cosine and sine of plane waves, with a random phase by the seed (field/plane.py). -
+# - *waves*: cosine and sine of plane waves, with a random phase by the seed (field/turns.py).
 # *cells*: noise that is constant over each cell of the lattice, for tiles, planks and threads that
 # differ from each other and have sharp borders.
 

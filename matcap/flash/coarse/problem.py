@@ -120,7 +120,7 @@ def priors(
 #
 # With the residuals r_i in log radiance of cells, of the highlight (HighlightMeasurements) and of
 # the diffuse share by ring (flash/diffuse_share.py), their weights w_i, the parameters x and the
-# prior's mean m and precision P (problem.py),
+# prior's mean m and precision P,
 #
 # cost = sum_i w_i huber(r_i) + (x - m)^T P (x - m) / 2.
 #

@@ -176,11 +176,11 @@ def _constant(plane: Array) -> bool:
 
 # Map sets of other programs as a texture to relight.
 #
-# - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic. -
-# Specular workflow (specular and gloss without metallic): the specular map is F0. - Height maps
-# have no unit: they are scaled to fit the normal map's slopes by least squares. Without a height
-# map the normal map is integrated (brdf/maps.py). - A set is two plane units wide, unless it
-# is matcap's export, whose sidecar states the size.
+# - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic.
+# - Specular workflow (specular and gloss without metallic): the specular map is F0.
+# - Height maps have no unit: they are scaled to fit the normal map's slopes by least squares.
+#   Without a height map the normal map is integrated (brdf/maps.py).
+# - A set is two plane units wide, unless it is matcap's export, whose sidecar states the size.
 
 _LEVEL = 0.08  # F0 of specular level 1 [burley2012]
 # Height range over width, assumed without a normal map.

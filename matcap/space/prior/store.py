@@ -66,7 +66,7 @@ class Base:
 
 
 def base_of(coarse: CoarseFit, contrast: Tensor) -> Base:
-    """The base of a photograph; `contrast` is (3,) from tuning.start.log_contrast."""
+    """The base of a photograph; `contrast` is (3,) from log_contrast."""
     mean, deviation = head_start(coarse, contrast.float().clamp(*_CONTRASTS))
     return Base(mean, deviation * torch.tensor(_UNIT))
 
@@ -138,7 +138,7 @@ def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> N
 #
 # Latent vectors of the training photographs are standardised. But a few hundred points leave most
 # of 64 dimensions empty, and the decoder is untrained there. Materials are therefore drawn near
-# anchors. An anchor is a latent vector, a base (mean maps, see store.py) and a lattice. The base is
+# anchors. An anchor is a latent vector, a base (mean maps) and a lattice. The base is
 # modelled as
 #
 # base = A code + b + L rest,    rest ~ N(0, I).
@@ -187,7 +187,7 @@ class Anchor:
     """Lattice, in cycles per texel of a drawn material."""
 
     def near(self, spread: float, generator: torch.Generator) -> Anchor:
-        """Draw a position at distance t = spread, in [0, 1]; see the module's equation."""
+        """Draw a position at distance t = spread, in [0, 1]; equation above ConditionalMean."""
         drawn = torch.randn(CODE_SIZE + VARYING, generator=generator)
         kept = math.sqrt(1.0 - spread**2)
         here = kept * torch.cat([self.code, self.rest]) + spread * drawn
@@ -247,7 +247,7 @@ class Prior:
     encoder: Encoder
     """Photograph to latent vector."""
     decoder: Decoder
-    """Latent vector and noise to outputs relative to the base (store.py)."""
+    """Latent vector and noise to outputs relative to the base."""
     conditional_mean: ConditionalMean
     """Model of bases given latent vectors."""
     anchors: Anchors
@@ -335,7 +335,7 @@ class Prior:
         Args:
             seed: a 64-bit integer.
             near: anchor to draw near; None is a random one of the prior's.
-            spread: distance t from the anchor, in [0, 1]; see store.py.
+            spread: distance t from the anchor, in [0, 1] (Anchor.near).
             name: of the material; the seed is appended.
 
         Raises:

@@ -317,10 +317,10 @@ class Adam:
 # photograph, and minimises the distance of the renderings' texture statistics to those of the
 # photograph at the same positions. Sensor noise is added to the renderings, so that the decoder
 # does not learn it. A decoder that reads a drawing is taught by the exemplar's maps, too
-# (match.py), and its AdaIN normalises by more than one window (finetune.py). The last steps
+# (match.py), and its AdaIN normalises by more than one window (Renormalisation). The last steps
 # use frozen AdaIN statistics, so that the saved network is the optimised one.
 #
-# It ends after a number of steps or a time (finetune.py), or by an interrupt.
+# It ends after a number of steps or a time (Schedule), or by an interrupt.
 
 # Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).
 RATE_FROM_NOTHING, RATE_FROM_PRIOR, RATE_WITH_DRAWING = 2e-2, 2.5e-3, 5e-3
