@@ -141,8 +141,8 @@ def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
 # everywhere [bergmann2017]. Two kinds of channel, both of zero mean and unit variance:
 #
 # - *waves*: cosine and sine of plane waves, with a random phase by the seed (field/turns.py).
-# *cells*: noise that is constant over each cell of the lattice, for tiles, planks and threads that
-# differ from each other and have sharp borders.
+# - *cells*: noise that is constant over each cell of the lattice, for tiles, planks and threads
+#   that differ from each other and have sharp borders.
 
 WAVE_CHANNELS = 12  # cosine and sine of six harmonics
 CELL_CHANNELS = 4  # for a material that has waves
