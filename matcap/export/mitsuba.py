@@ -67,11 +67,11 @@ def mitsuba(job: ExportJob) -> tex.Export:
             shading=TargetShading(masking="separable"),
         )
 
-    exact = _element("bsdf", "matcap")
+    exact = ET.Element("bsdf", type="matcap")
     _texture(exact, "diffuse", names["diffuse"], colour=True)
     _texture(exact, "specular", names["specular"], colour=job.coloured)
     _texture(exact, "roughness", names["roughness"])
-    gloss = _element("bsdf", "principled")
+    gloss = ET.Element("bsdf", type="principled")
     ET.SubElement(gloss, "float", name="metallic", value="1")
     mirrored = names["specular" if bare else "blend_specular"]
     _texture(gloss, "base_color", mirrored, colour=job.coloured)
@@ -92,7 +92,7 @@ def mitsuba(job: ExportJob) -> tex.Export:
 
 def _blended(gloss: ET.Element, names: dict[str, str]) -> ET.Element:
     """A blendbsdf of diffuse and specular, weighted by the share texture."""
-    plain = _element("bsdf", "blendbsdf")
+    plain = ET.Element("bsdf", type="blendbsdf")
     _texture(plain, "weight", names["share"])
     base = ET.SubElement(plain, "bsdf", type="diffuse")
     _texture(base, "reflectance", names["blend_diffuse"], colour=True)
@@ -161,10 +161,6 @@ def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     bent.append(bsdf)
     ET.indent(scene)
     return ET.tostring(scene, encoding="utf-8") + b"\n"
-
-
-def _element(tag: str, kind: str) -> ET.Element:
-    return ET.Element(tag, type=kind)
 
 
 def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) -> None:

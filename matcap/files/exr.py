@@ -75,14 +75,11 @@ def meant_layer(
         layer for index, spec in flat for layer in _layers(index, spec, len(specs) > 1, where)
     ]
     if not layers:
-        deep = not flat
+        if not flat:
+            refuse_deep(where, specs[0])
         names = ", ".join(name for spec in specs for name in spec.channelnames)[:80]
         raise MatcapError.at(
-            where,
-            "this is a deep EXR file, which is not supported"
-            if deep
-            else f"none of its channels ({names}) is red or grey",
-            "flatten it, and save it with one sample a pixel" if deep else "save it as RGB",
+            where, f"none of its channels ({names}) is red or grey", "save it as RGB"
         )
 
     def order(layer: ExrLayer) -> tuple[int, int, int]:
@@ -274,7 +271,7 @@ def read_exr(
     return NamedChannels(np.asarray(pixels, dtype=np.float32), names, stated_primaries(spec))
 
 
-def refuse_deep(path: Path, spec: Any) -> None:  # noqa: ANN401
+def refuse_deep(path: Path | str, spec: Any) -> None:  # noqa: ANN401
     """Raise MatcapError for a deep EXR file, by OpenImageIO's specification of it."""
     if spec.deep:
         raise MatcapError.at(

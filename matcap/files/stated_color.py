@@ -6,7 +6,6 @@ import io
 import math
 import struct
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,7 +81,8 @@ def read_profile(profile: bytes) -> color.ColorSpace | None:
     if profile[20:24] != b"XYZ " or any(name not in tags for name in _COLORANTS + _CURVES):
         return None
     red, green, blue = (_checked(_curve(tags[name])) for name in _CURVES)
-    colorants = np.stack([_xyz(tags[name]) for name in _COLORANTS], axis=1)
+    columns = [struct.unpack_from(">3i", tags[name], 8) for name in _COLORANTS]
+    colorants = np.stack(columns, axis=1) / 65536.0
     matrix = np.linalg.solve(color.REC709_TO_D50, colorants)
     # Equal code values stay grey, whatever the rounding of the colorants.
     matrix /= matrix.sum(axis=1, keepdims=True)
@@ -106,10 +106,6 @@ def _tags(profile: bytes) -> dict[bytes, bytes]:
         raise ValueError("too many tags")
     table = [struct.unpack_from(">4sII", profile, 132 + 12 * i) for i in range(count)]
     return {name: profile[offset : offset + size] for name, offset, size in table}
-
-
-def _xyz(tag: bytes) -> color.Values:
-    return np.array(struct.unpack_from(">3i", tag, 8)) / 65536.0
 
 
 def _curve(tag: bytes) -> color.Curve:
@@ -188,21 +184,15 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> color.Linearise | N
     except (ImageCms.PyCMSError, OSError, ValueError):
         return None
     decode = color.SRGB.lineariser(np.dtype(np.uint8))
-    to_8_bits = _to_8_bits(dtype)
+    scale = 255.0 / color.largest_code(dtype)
 
     def linearise(rows: NDArray[np.generic]) -> NDArray[np.float32]:
-        codes = to_8_bits(rows if mode != "L" else rows[..., 0])
+        light = (rows if mode != "L" else rows[..., 0]).astype(np.float32) * scale
+        codes = np.rint(np.clip(light, 0, 255)).astype(np.uint8)
         strip = Image.fromarray(np.ascontiguousarray(codes))
         return decode(np.asarray(ImageCms.applyTransform(strip, transform)))
 
     return linearise
-
-
-def _to_8_bits(
-    dtype: np.dtype[np.generic],
-) -> Callable[[NDArray[np.generic]], NDArray[np.uint8]]:
-    scale = 255.0 / color.largest_code(dtype)
-    return lambda rows: np.rint(np.clip(rows.astype(np.float32) * scale, 0, 255)).astype(np.uint8)
 
 
 # The colour space that an image file states: by ICC profile, code points, Exif or gamma.
