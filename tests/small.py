@@ -10,7 +10,7 @@ from matcap.flash.geometry import FlashSetup
 from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, OUTPUTS, Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig
-from matcap.space.prior.store import VARYING, ConditionalMean, Prior
+from matcap.space.prior.store import VARYING, Anchors, ConditionalMean, Prior
 
 SMALL = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8), convolutions=(1, 1))
 
@@ -55,4 +55,5 @@ def small_prior(seed: int) -> Prior:
         0.1 * torch.eye(VARYING),
     )
     encoder = Encoder(EncoderConfig(width=64)).eval()
-    return Prior(encoder, decoder, habits, {"steps": 0})
+    anchors = Anchors(*(torch.zeros(1, *size) for size in ((CODE_SIZE,), (VARYING,), (2, 2))))
+    return Prior(encoder, decoder, habits, anchors, {"steps": 0})

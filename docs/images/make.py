@@ -102,7 +102,7 @@ def page(paths: list[Path]) -> None:
     beside = reference_photograph(paths[0], subject.facts.name, None, subject.first)
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
-    app = make_app(subject, address, Pages, beside)
+    app = make_app(Pages(subject), address, beside)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()

@@ -11,24 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, cast
 
+from matcap.batch import work
 from matcap.batch.overview import write_index
 from matcap.batch.samples import BatchSettings, Grouping, ShotSample, find_samples, prior_hash
-from matcap.batch.work import (
-    FILE,
-    BatchEntry,
-    BatchJob,
-    Failure,
-    Policy,
-    do_job,
-    forget_failure,
-    largest_worker,
-    make_plan,
-    open_run,
-    pool_size,
-    read_record,
-    settle_threads,
-    write_failure,
-)
 from matcap.batch.worker_pool import BatchWorkers, Event, Machines, Processes
 from matcap.capture.settings import resolve
 from matcap.errors import ExitCode, MatcapError
@@ -56,13 +41,13 @@ class Show(Protocol):
     def expect(self, total: int) -> None:
         """Set the number of samples."""
 
-    def started(self, entry: BatchEntry) -> None:
+    def started(self, entry: work.BatchEntry) -> None:
         """A sample's capture has started."""
 
-    def progress(self, entry: BatchEntry, now: Progress) -> None:
+    def progress(self, entry: work.BatchEntry, now: Progress) -> None:
         """A sample's stage and share of the work."""
 
-    def ended(self, entry: BatchEntry) -> None:
+    def ended(self, entry: work.BatchEntry) -> None:
         """A sample has reached its final state."""
 
     def note(self, sentence: str) -> None:
@@ -77,7 +62,7 @@ class Prepared:
     """The output folder."""
     settings: BatchSettings
     """Settings of the batch."""
-    entries: Sequence[BatchEntry]
+    entries: Sequence[work.BatchEntry]
     """All samples with their states."""
     worker_bytes: int
     """Upper bound of a worker's memory."""
@@ -87,7 +72,7 @@ class Prepared:
     """Calibration from a card's photograph, or None."""
 
     @property
-    def todo(self) -> list[BatchEntry]:
+    def todo(self) -> list[work.BatchEntry]:
         """The samples that are still to be captured."""
         return [entry for entry in self.entries if entry.state == "todo"]
 
@@ -100,7 +85,7 @@ class Batch:
     """
 
     def __init__(
-        self, prepared: Prepared, workers: BatchWorkers, policy: Policy, show: Show
+        self, prepared: Prepared, workers: BatchWorkers, policy: work.Policy, show: Show
     ) -> None:
         self._prepared, self._out, self._workers = prepared, prepared.out, workers
         self._policy, self._show = policy, show
@@ -108,11 +93,11 @@ class Batch:
         self._entries = {entry.sample.name: entry for entry in prepared.entries}
         rest = (settings, self._out, settings.capture.most_detail, False, prepared.card)
         self._waiting = deque(
-            BatchJob(entry.sample.name, entry.sample.photos, entry.identity, *rest)
+            work.BatchJob(entry.sample.name, entry.sample.photos, entry.identity, *rest)
             for entry in prepared.todo
         )
-        self._alone: deque[BatchJob] = deque()
-        self._running: dict[str, BatchJob] = {}
+        self._alone: deque[work.BatchJob] = deque()
+        self._running: dict[str, work.BatchJob] = {}
         self._stop = ""
         self._paged = time.monotonic()
 
@@ -172,7 +157,7 @@ class Batch:
         if self._alone and not self._waiting and not self._workers.busy():
             self._begin(self._alone.popleft())
 
-    def _begin(self, job: BatchJob) -> None:
+    def _begin(self, job: work.BatchJob) -> None:
         room = self._settings.outputs.room
         if shutil.disk_usage(self._out).free < room:
             self._stop = f"the disk has less than {room / 1e6:.0f} MB left"
@@ -190,14 +175,14 @@ class Batch:
         del self._running[job.name]
         if event.kind == "died":
             self._failed(job, _of_death(job.photos[0], event.value), again=True)
-        elif isinstance(event.value, Failure):
+        elif isinstance(event.value, work.Failure):
             self._failed(job, event.value)
         else:
             entry.state, entry.record = "made", event.value
-            forget_failure(self._out, job.name)
+            work.forget_failure(self._out, job.name)
             self._show.ended(entry)
 
-    def _failed(self, job: BatchJob, failure: Failure, *, again: bool = False) -> None:
+    def _failed(self, job: work.BatchJob, failure: work.Failure, *, again: bool = False) -> None:
         following = self._following(job, failure, again)
         if following is not None:
             smaller = following.detail < job.detail
@@ -209,7 +194,7 @@ class Batch:
         entry.state, entry.reason = "failed", failure.sentence
         if failure.kind not in _FORGET:
             about = {"identity": entry.identity, "reason": failure.sentence}
-            write_failure(self._out, job.name, about)
+            work.write_failure(self._out, job.name, about)
         self._show.ended(entry)
         if failure.kind == "disk":
             self._stop = self._stop or "the disk is full"
@@ -219,7 +204,9 @@ class Batch:
             self._workers.close()
             self._running.clear()
 
-    def _following(self, job: BatchJob, failure: Failure, again: bool) -> BatchJob | None:
+    def _following(
+        self, job: work.BatchJob, failure: work.Failure, again: bool
+    ) -> work.BatchJob | None:
         """The next attempt: alone, then at half the detail; None gives up."""
         others = failure.kind == "memory" and self._workers.size > 1
         if failure.kind in ("memory", "crash") and not job.alone and (again or others):
@@ -231,17 +218,17 @@ class Batch:
         return None
 
 
-def _of_death(photo: Path, code: int) -> Failure:
+def _of_death(photo: Path, code: int) -> work.Failure:
     """Why a worker has died: SIGKILL is taken for the system's out-of-memory killer."""
     if code == -signal.SIGKILL:
         said = f"{photo}: the system killed the worker, probably because memory ran out"
-        return Failure("memory", f"{said}; lower --detail, --size or -j.")
+        return work.Failure("memory", f"{said}; lower --detail, --size or -j.")
     how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
     said = f"{photo}: the worker process crashed ({how})"
-    return Failure("crash", f"{said}; report it, with the photograph.")
+    return work.Failure("crash", f"{said}; report it, with the photograph.")
 
 
-def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCode:
+def exit_code(entries: Sequence[work.BatchEntry], *, strict: bool = False) -> ExitCode:
     """Exit code of a batch; with `strict` only materials with a good verdict count as made."""
     good = sum(
         entry.state in ("made", "kept") and not (strict and _unfit(entry)) for entry in entries
@@ -249,7 +236,7 @@ def exit_code(entries: Sequence[BatchEntry], *, strict: bool = False) -> ExitCod
     return ExitCode.of(good, len(entries))
 
 
-def _unfit(entry: BatchEntry) -> bool:
+def _unfit(entry: work.BatchEntry) -> bool:
     """Whether the verdict is doubtful or failed."""
     verdict = entry.record.get("verdict")
     return verdict is not None and not Rating(verdict["rating"]).fit
@@ -261,7 +248,7 @@ _SETS_SAID = 12  # most groups of photographs that are listed before a batch sta
 
 
 def prepare(
-    source: Path, out: Path, settings: BatchSettings, policy: Policy, show: Show
+    source: Path, out: Path, settings: BatchSettings, policy: work.Policy, show: Show
 ) -> Prepared:
     """List the samples of the folder `source` and determine their states; writes nothing.
 
@@ -280,10 +267,10 @@ def prepare(
     show.note(card_sentence(card))
     check_writable(out, settings.outputs.room)
     digest = card.digest if card else ""
-    entries = make_plan(samples, out, settings, policy, prior=prior, card=digest)
+    entries = work.make_plan(samples, out, settings, policy, prior=prior, card=digest)
     todo = [entry for entry in entries if entry.state == "todo"]
-    each = largest_worker(settings, [photo for e in todo for photo in e.sample.photos])
-    workers = pool_size(settings.jobs, each, len(todo))
+    each = work.largest_worker(settings, [photo for e in todo for photo in e.sample.photos])
+    workers = work.pool_size(settings.jobs, each, len(todo))
     if settings.jobs and workers < min(settings.jobs, len(todo)):
         show.note(
             f"Using {workers} workers instead of {settings.jobs}: each may need "
@@ -320,7 +307,7 @@ def _cards(source: Path, wanted: str, out: Path) -> list[Path]:
 
 
 def work_off(
-    prepared: Prepared, policy: Policy, show: Show, scheduler: str | None = None
+    prepared: Prepared, policy: work.Policy, show: Show, scheduler: str | None = None
 ) -> ExitCode:
     """Capture all samples to do, and write the index.
 
@@ -333,16 +320,16 @@ def work_off(
         KeyboardInterrupt: Ctrl-C; finished materials stay, the index is written.
     """
     entries = prepared.entries
-    with open_run(prepared.out):
+    with work.open_run(prepared.out):
         show.expect(len(entries))
         for entry in entries:
             if entry.state != "todo":
                 show.ended(entry)
         workers: BatchWorkers
         if scheduler is None:
-            workers = Processes(prepared.workers, do_job, settle_threads)
+            workers = Processes(prepared.workers, work.do_job, work.settle_threads)
         else:
-            workers = Machines(scheduler, do_job, settle_threads)
+            workers = Machines(scheduler, work.do_job, work.settle_threads)
         Batch(prepared, workers, policy, show).go()
     return exit_code(entries, strict=policy.strict)
 
@@ -359,7 +346,7 @@ def predict(prepared: Prepared) -> dict[str, Any]:
     """
     settings, out, todo = prepared.settings, prepared.out, len(prepared.todo)
     wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
-    records = (read_record(file.parent) for file in sorted(out.glob(f"*/{FILE}")))
+    records = (work.read_record(file.parent) for file in sorted(out.glob(f"*/{work.FILE}")))
     made = [one for one in records if one and (one.get("steps"), one.get("detail")) == wanted]
     each = sum(float(one["seconds"]) for one in made) / len(made) if made else None
     room = max((sum(one["files"].values()) for one in made), default=settings.outputs.room)

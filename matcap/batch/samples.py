@@ -368,7 +368,6 @@ def read_settings(file: Path) -> dict[str, Any]:
 #
 # Equal hashes mean equal materials: one that exists need not be made again.
 
-
 # Settings that do not change a material; of prior and card the content is hashed instead.
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
 

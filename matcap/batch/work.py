@@ -272,7 +272,7 @@ class BatchEntry:
     reason: str = ""
     """Why it failed or was left."""
     record: dict[str, Any] = field(default_factory=dict)
-    """Record of the material (work.py); empty if not captured yet."""
+    """Record of the material; empty if not captured yet."""
 
 
 def make_plan(

@@ -22,9 +22,8 @@ from matcap.brdf.maps import CHANNELS, MapSet, split_stacked
 # Stable in float32:
 #
 # - D's denominator 1 - (n.h)^2 (1 - alpha^2) cancels near n.h = 1 for small alpha; it is computed
-# as |n x h|^2 + (n.h)^2 alpha^2. - G / (4 (n.l)(n.v)) is one term [heitz2014], which divides by no
-# grazing cosine.
-
+#   as |n x h|^2 + (n.h)^2 alpha^2.
+# - G / (4 (n.l)(n.v)) is one term [heitz2014], which divides by no grazing cosine.
 
 # Roughness is clamped to this: alpha = 1e-6, whose square and whose peak D = 1 / (pi alpha^2) are
 # well inside float32, and which no picture can distinguish from 0.
@@ -241,7 +240,6 @@ METAL_F0: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 #
 # log diffuse albedo, log F0, logit roughness, height in texels; with the limits that reflectance is
 # clamped to. Stacked channels are ordered as in MapSet.stacked.
-
 
 # Of a parameter vector of one surface or texel: log albedo (3), log F0, logit roughness.
 ALBEDO, F0, ROUGH = slice(0, 3), 3, 4

@@ -200,7 +200,6 @@ def _differing(pixels: np.ndarray[Any, Any], maps: MapSet, *, down: bool) -> flo
 
 # Validation of height maps.
 
-
 # Plane units. Squares of the slopes of such heights do not overflow single precision.
 TALLEST = 1e6
 

@@ -90,7 +90,6 @@ def _one_sided_at_borders(field: Tensor, dim: int) -> Tensor:
 
 # MapSet: SVBRDF maps (diffuse albedo, F0, roughness, height) of a rectangle of material.
 
-
 # Order and channel counts of the stored maps; the normal is derived from the height. F0 has three
 # channels where it is coloured, that is, where some of the material is metal.
 CHANNELS: dict[str, int] = {"diffuse": 3, "specular": 1, "roughness": 1, "height": 1}
@@ -99,7 +98,6 @@ COLOURED = 3  # channels of a coloured F0
 DIFFUSE, SPECULAR, ROUGHNESS, HEIGHT = (
     slice(0, 3), slice(3, -2), slice(-2, -1), slice(-1, None),
 )  # fmt: skip
-SURFACE = slice(0, -1)  # all but the height
 MAP_NAMES: tuple[str, ...] = (*CHANNELS, "normal")
 
 

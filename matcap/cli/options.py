@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from matcap.files.settings import Setting, number, settings_in
+from matcap.files.settings import Setting, settings_in
 
 # Options that several commands share, and the groups of options in help.
 
@@ -204,7 +204,6 @@ def _parameter(one: Setting) -> inspect.Parameter:
     elif rule.parse is not None:
         kind, more = Any, {"parser": typed(rule.parse)}
     elif math.isfinite(rule.least):
-        kind, more = Any, {"parser": typed(number(rule.least, rule.most, one.kind))}
         metavar = metavar or _range(rule.least, rule.most)
     off = rule.off or f"--no-{one.flag[2:]}"
     flag = f"{one.flag}/{off}" if kind is bool else one.flag
@@ -236,7 +235,9 @@ def _text_of_default(default: object) -> str | None:
 
 
 def _plain(one: Setting, value: Any) -> Any:  # noqa: ANN401
-    """Typer's value converted to the field's type."""
+    """Typer's value converted to the field's type; numbers are checked."""
+    if isinstance(value, int | float):
+        one.check(value, one.flag)
     if one.rule.several and one.rule.parse is not None:
         return one.rule.parse(value)
     return Path(value) if one.kind is Path and one.rule.parse is None else value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +18,7 @@ from matcap.cli.options import (
     printer,
     with_settings,
 )
+from matcap.errors import MatcapError
 from matcap.field.options import ReadOptions
 from matcap.files import settings as values
 from matcap.files.settings import CheckedSettings, setting
@@ -68,7 +68,6 @@ def view(
     from matcap.files.output import check_output
     from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.pages import reference_photograph
-    from matcap.view.server import make_app, serve
     from matcap.view.subject import Materials, open_subject
 
     def announce(address: str) -> None:
@@ -93,5 +92,11 @@ def view(
             write_page(page, html)
         printer(quiet=quiet)(f"wrote {html}")
         return
-    app = partial(make_app, subject, photo=shown)
-    serve(app, announce=announce, port=asked.port, opens=asked.opens)
+    try:
+        from matcap.view.server import serve
+    except ImportError as error:
+        raise MatcapError(
+            "the page needs the extra 'view'",
+            remedy='pip install "matcap[view]", or write one file with --html',
+        ) from error
+    serve(subject, shown, port=asked.port, opens=asked.opens, announce=announce)

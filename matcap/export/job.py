@@ -7,19 +7,16 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from torch import Tensor
 
-from matcap.brdf.maps import COLOURED
+from matcap.brdf.maps import COLOURED, MapSet, normals_of_rows
 from matcap.errors import MatcapError, UsageError
 from matcap.export.formats import Container, Depth, Picture, bands
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from matcap.brdf.maps import MapSet
-    from matcap.export.occlusion import Occlusion
+from matcap.export.occlusion import Occlusion, occlusion
+from matcap.field.material import Material
 
 
 @dataclass(frozen=True)
@@ -117,8 +114,6 @@ class ExportJob:
     @cached_property
     def normal(self) -> Picture:
         """(H, W, 3) unit normals, +Y up."""
-        from matcap.brdf.maps import normals_of_rows
-
         maps = self.maps
         if maps.painted is not None:
             return self._picture(maps.painted)
@@ -131,8 +126,6 @@ class ExportJob:
 
     @cached_property
     def _shadows(self) -> Occlusion:
-        from matcap.export.occlusion import occlusion
-
         heights = self.height / np.float32(self.maps.texel_size)
         return occlusion(heights, periodic=self.maps.periodic)
 
@@ -223,8 +216,6 @@ def material_reach(path: Path, name: str) -> float | None:
     Returns:
         None without a material that has an exemplar.
     """
-    from matcap.field.material import Material
-
     folder = path if path.is_dir() else path.parent
     file = path if path.suffix.lower() == ".matcap" else folder / f"{name}.matcap"
     piece = None

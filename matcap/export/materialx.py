@@ -23,30 +23,14 @@ from typing import Literal
 import numpy as np
 import torch
 
+from matcap.export import textures as tex
+from matcap.export import workflows
 from matcap.export.formats import Picture
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.presets import EngineModel
 from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import (
-    BASE,
-    Export,
-    by_file,
-    signed,
-    standard_surface,
-    standard_textures,
-)
-from matcap.export.workflows import (
-    FIRST_METAL,
-    Metallic,
-    MetallicAim,
-    base_colour,
-    clipping_notes,
-    fitted_tables,
-    specular_colour,
-    to_metallic,
-)
 
 VERSION = "1.39"
 # Indices of refraction that are tried, by their F0.
@@ -54,11 +38,11 @@ _INDICES = (0.04, 0.08, 0.12, 0.2, 0.3, 0.5, 0.9, 0.995)
 _LEAST_INDEX = 0.02  # least F0 of the dielectric in the metallic workflow
 
 
-def materialx(job: ExportJob) -> Export:
+def materialx(job: ExportJob) -> tex.Export:
     """NAME.mtlx, NAME_openpbr.mtlx and NAME_standard_surface.mtlx and their textures."""
     job.check_formats("MaterialX", ("png", "jpg", "exr"), floats=True)
-    textures = standard_textures(job)
-    standard = by_file(job.name, textures)
+    textures = tex.standard_textures(job)
+    standard = tex.by_file(job.name, textures)
     layered = {shader: Layered.of(job, shader) for shader in INPUTS}
     # If both shaders take the same kind of textures, they share them.
     stems = dict.fromkeys(INPUTS, job.name)
@@ -70,16 +54,16 @@ def materialx(job: ExportJob) -> Export:
     documents: dict[str, bytes | Callable[[Path], bytes]] = {
         f"{job.name}.mtlx": _exact(job, standard)
     }
-    surfaces: dict[str, MadeSurface] = {"exact": partial(standard_surface, textures)}
+    surfaces: dict[str, MadeSurface] = {"exact": partial(tex.standard_surface, textures)}
     for shader, label in (("open_pbr_surface", "openpbr"), ("standard_surface",) * 2):
         files = textures_of[shader] | dict(list(standard.items())[2:])
         documents[f"{job.name}_{label}.mtlx"] = _layered(job, files, shader, layered[shader])
         surfaces[shader] = partial(layered[shader].surface, textures, shader=shader)
-    return Export(
+    return tex.Export(
         standard | textures_of["open_pbr_surface"] | textures_of["standard_surface"],
         documents,
         surfaces,
-        (*clipping_notes(job, layered["open_pbr_surface"].shading), *job.size_notes()),
+        (*workflows.clipping_notes(job, layered["open_pbr_surface"].shading), *job.size_notes()),
     )
 
 
@@ -108,9 +92,9 @@ class Layered:
         least = float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
         indices = (least, *(index for index in _INDICES if index > least))
         tried = [Layered.at(job, index) for index in indices]
-        if float(job.specular.max()) >= FIRST_METAL:
+        if float(job.specular.max()) >= workflows.FIRST_METAL:
             tried.append(Layered.metallic(job))
-        standard = standard_textures(job)
+        standard = tex.standard_textures(job)
         return tried[nearest(job, [partial(one.surface, standard, shader=shader) for one in tried])]
 
     @staticmethod
@@ -119,10 +103,12 @@ class Layered:
         shading = TargetShading(layer="albedo", compensated=True, index=index)
 
         def tint(piece: MapRows) -> Picture:
-            return np.clip(specular_colour(piece, shading) / np.float32(index), 0.0, 1.0)
+            return np.clip(workflows.specular_colour(piece, shading) / np.float32(index), 0.0, 1.0)
 
         return Layered(
-            TextureFile.of(job, lambda piece: base_colour(piece, shading), "16", BASE, srgb=True),
+            TextureFile.of(
+                job, lambda piece: workflows.base_colour(piece, shading), "16", tex.BASE, srgb=True
+            ),
             TextureFile.of(job, tint, "16", f"F0 / {index:g}", srgb=job.coloured),
             "tint",
             shading,
@@ -135,14 +121,18 @@ class Layered:
         index = max(textures.dielectric[0], _LEAST_INDEX)
         shading = TargetShading(layer="albedo", compensated=True, index=index)
 
-        def made(piece: MapRows) -> Metallic:
+        def made(piece: MapRows) -> workflows.Metallic:
             f0, rough = piece.picture("specular"), piece.picture("roughness")
-            diffuse = base_colour(piece, shading)
-            shown = np.clip(fitted_tables(replace(shading, index=None)).f0(f0, rough), 0.0, 1.0)
-            return to_metallic(MetallicAim(diffuse, shown, rough, index, index), "free")
+            diffuse = workflows.base_colour(piece, shading)
+            shown = np.clip(
+                workflows.fitted_tables(replace(shading, index=None)).f0(f0, rough), 0.0, 1.0
+            )
+            return workflows.to_metallic(
+                workflows.MetallicAim(diffuse, shown, rough, index, index), "free"
+            )
 
         return Layered(
-            TextureFile.of(job, lambda piece: made(piece).base, "16", BASE, srgb=True),
+            TextureFile.of(job, lambda piece: made(piece).base, "16", tex.BASE, srgb=True),
             TextureFile.of(job, lambda piece: made(piece).metallic, "16", "metalness"),
             "metalness",
             shading,
@@ -156,14 +146,14 @@ class Layered:
     def files(self, name: str) -> dict[str, TextureFile]:
         """Both textures by file name."""
         label = "specular_color" if self.kind == "tint" else "base_metalness"
-        return by_file(name, {"base_color": self.base, label: self.second})
+        return tex.by_file(name, {"base_color": self.base, label: self.second})
 
     def surface(
         self, others: Mapping[str, TextureFile], read: Reader, shader: str = "open_pbr_surface"
     ) -> TargetSurface:
         """The reflectance that a shader renders, with roughness and normal_gl of `others`."""
         base, second = read(self.base), read(self.second)
-        rest = read(others["roughness"]), signed(read(others["normal_gl"]))
+        rest = read(others["roughness"]), tex.signed(read(others["normal_gl"]))
         index = self.shading.index or 0.0
         if self.kind == "tint":
             f0 = second * index

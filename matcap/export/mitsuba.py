@@ -10,19 +10,12 @@ from importlib.resources import files as resources
 
 import numpy as np
 
+from matcap.export import textures as tex
 from matcap.export.formats import Picture, brightest_channel
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.shading import Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import (
-    Export,
-    by_file,
-    file_names,
-    height_entry,
-    signed,
-    standard_surface,
-    standard_textures,
-)
+from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
 
 # Mitsuba 3 scenes: the maps under `matcap relight`'s light "top".
 #
@@ -40,11 +33,11 @@ _LARGEST_FILM = 512
 _VERSION = "3.6.0"
 
 
-def mitsuba(job: ExportJob) -> Export:
+def mitsuba(job: ExportJob) -> tex.Export:
     """NAME.xml, NAME_exact.xml, matcap_bsdf.py and the textures."""
     job.check_formats("Mitsuba", ("png", "jpg", "exr"), floats=True)
-    textures = standard_textures(job)
-    exact_surface = partial(standard_surface, textures)
+    textures = tex.standard_textures(job)
+    exact_surface = partial(tex.standard_surface, textures)
     bare = float(job.diffuse.max()) < _NO_DIFFUSE
     blend = (
         {}
@@ -59,7 +52,7 @@ def mitsuba(job: ExportJob) -> Export:
             ),
         }
     )
-    names = file_names(job.name, textures | blend)
+    names = tex.file_names(job.name, textures | blend)
 
     def surface(read: Reader) -> TargetSurface:
         if bare:
@@ -69,24 +62,24 @@ def mitsuba(job: ExportJob) -> Export:
             read(blend["blend_diffuse"]) * (1.0 - share),
             read(blend["blend_specular"]) * share,
             read(textures["roughness"]),
-            signed(read(textures["normal_gl"])),
+            tex.signed(read(textures["normal_gl"])),
             f90=share,
             shading=TargetShading(masking="separable"),
         )
 
-    exact = _element("bsdf", "matcap")
+    exact = ET.Element("bsdf", type="matcap")
     _texture(exact, "diffuse", names["diffuse"], colour=True)
     _texture(exact, "specular", names["specular"], colour=job.coloured)
     _texture(exact, "roughness", names["roughness"])
-    gloss = _element("bsdf", "principled")
+    gloss = ET.Element("bsdf", type="principled")
     ET.SubElement(gloss, "float", name="metallic", value="1")
     mirrored = names["specular" if bare else "blend_specular"]
     _texture(gloss, "base_color", mirrored, colour=job.coloured)
     _texture(gloss, "roughness", names["roughness"])
     plain = gloss if bare else _blended(gloss, names)
     script = resources("matcap.export.scripts").joinpath(_SCRIPT).read_bytes()
-    return Export(
-        by_file(job.name, textures | blend),
+    return tex.Export(
+        tex.by_file(job.name, textures | blend),
         {
             f"{job.name}.xml": _scene(job, plain, names["normal_gl"]),
             f"{job.name}_exact.xml": _scene(job, exact, names["normal_gl"]),
@@ -99,7 +92,7 @@ def mitsuba(job: ExportJob) -> Export:
 
 def _blended(gloss: ET.Element, names: dict[str, str]) -> ET.Element:
     """A blendbsdf of diffuse and specular, weighted by the share texture."""
-    plain = _element("bsdf", "blendbsdf")
+    plain = ET.Element("bsdf", type="blendbsdf")
     _texture(plain, "weight", names["share"])
     base = ET.SubElement(plain, "bsdf", type="diffuse")
     _texture(base, "reflectance", names["blend_diffuse"], colour=True)
@@ -125,8 +118,6 @@ def _blend_specular(piece: MapRows) -> Picture:
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     """The scene file: a rectangle from straight above, under one point light."""
-    from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
-
     width, height = job.extent
     shrunk = min(1.0, _LARGEST_FILM / max(job.maps.size))
     pixels = [max(1, round(side * shrunk)) for side in job.maps.size]
@@ -172,10 +163,6 @@ def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:
     return ET.tostring(scene, encoding="utf-8") + b"\n"
 
 
-def _element(tag: str, kind: str) -> ET.Element:
-    return ET.Element(tag, type=kind)
-
-
 def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) -> None:
     """Add a bitmap texture; only integer colours are sRGB-encoded."""
     texture = ET.SubElement(parent, "texture", type="bitmap", name=name)
@@ -196,14 +183,14 @@ def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) 
 # and displacement are in metres, Blender's unit.
 
 
-def blender(job: ExportJob) -> Export:
+def blender(job: ExportJob) -> tex.Export:
     """NAME_blender.py and its textures."""
-    textures = standard_textures(job)
+    textures = tex.standard_textures(job)
     script = resources("matcap.export.scripts").joinpath("blender_material.py").read_bytes()
-    return Export(
-        by_file(job.name, textures),
+    return tex.Export(
+        tex.by_file(job.name, textures),
         {f"{job.name}_blender.py": script},
-        {"exact": partial(standard_surface, textures)},
+        {"exact": partial(tex.standard_surface, textures)},
         ("needs Blender 4.3 or later, and Cycles for the exact reflectance", *job.size_notes()),
-        {"textures": file_names(job.name, textures)} | height_entry(job, 1.0, 0.0),
+        {"textures": tex.file_names(job.name, textures)} | tex.height_entry(job, 1.0, 0.0),
     )

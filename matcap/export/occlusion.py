@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -51,8 +52,6 @@ class Occlusion:
         values: Picture = getattr(self, kind)
         if self.size is None:
             return values
-        import cv2
-
         return np.asarray(cv2.resize(values, self.size), dtype=np.float32)
 
 
@@ -74,8 +73,6 @@ def occlusion(height: Picture, *, periodic: bool) -> Occlusion:
         height: (H, W) in texels, row 0 at the top.
         periodic: it repeats; otherwise border heights are continued.
     """
-    import cv2
-
     if not halved(height.shape[1], height.shape[0]):
         return _occlusion(height, periodic=periodic)
     size = height.shape[1], height.shape[0]
@@ -123,8 +120,6 @@ def _smoothed(
     field: Picture, steps: dict[int, int], reach: int, *, periodic: bool
 ) -> dict[int, Tensor]:
     """The padded field, averaged over each side in `steps`, by side."""
-    import cv2
-
     wide = np.pad(field, reach + max(steps.values()) // 2, mode="wrap" if periodic else "edge")
     inner = slice(max(steps.values()) // 2, wide.shape[0] - max(steps.values()) // 2)
     across = slice(inner.start, wide.shape[1] - inner.start)

@@ -14,42 +14,13 @@ from typing import Any, cast
 import numpy as np
 from torch import Tensor
 
+from matcap.export import textures as tex
+from matcap.export import workflows
 from matcap.export.formats import Depth, NormalMaps, Picture, brightest_channel, mean_channel, rgb
 from matcap.export.job import ExportJob, MapRows
 from matcap.export.options import ExportOptions
 from matcap.export.shading import MATCAP, MadeSurface, Reader, TargetShading, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import (
-    BASE,
-    BENT,
-    CAVITY,
-    CODED_HEIGHT,
-    DIFFUSE,
-    HEIGHT,
-    NORMAL,
-    OCCLUSION,
-    ROUGHNESS,
-    SIGNED_NORMAL,
-    SPECULAR,
-    Export,
-    Workflow,
-    coded_height,
-    coded_normal,
-    coded_normal_dx,
-    height_entry,
-    occlusion_entry,
-    picture,
-    signed,
-)
-from matcap.export.workflows import (
-    FIRST_METAL,
-    FORMS,
-    Form,
-    Metallic,
-    MetallicAim,
-    fitted_tables,
-    to_metallic,
-)
 
 _MARGIN = 0.25  # share of the plain form's residual that another form must gain
 _SHADED = ("occlusion", "cavity", "bent")
@@ -67,27 +38,27 @@ class PackedMaterial:
     @cached_property
     def roughness(self) -> Picture:
         """(H, W) roughness, fitted to the engine's shading."""
-        return fitted_tables(self.model.shading).rough(*self._meant)
+        return workflows.fitted_tables(self.model.shading).rough(*self._meant)
 
     @cached_property
     def f0(self) -> Picture:
         """(H, W) or (H, W, 3) F0, fitted to the engine's shading, [0, 1]."""
-        return np.clip(fitted_tables(self.model.shading).f0(*self._meant), 0.0, 1.0)
+        return np.clip(workflows.fitted_tables(self.model.shading).f0(*self._meant), 0.0, 1.0)
 
     @cached_property
-    def metallic(self) -> Metallic:
+    def metallic(self) -> workflows.Metallic:
         """The maps in the metallic workflow, in the model's form."""
         low, high = self.model.dielectric
         f0, rough = self._meant
-        share = fitted_tables(self.model.shading).albedo(np.clip(f0, low, high), rough)
+        share = workflows.fitted_tables(self.model.shading).albedo(np.clip(f0, low, high), rough)
         diffuse = self.piece.picture("diffuse") * share
-        wanted = MetallicAim(diffuse, self.f0, rough, low, high, self.model.below)
-        return to_metallic(wanted, self.model.form)
+        wanted = workflows.MetallicAim(diffuse, self.f0, rough, low, high, self.model.below)
+        return workflows.to_metallic(wanted, self.model.form)
 
     @property
     def base(self) -> Picture:
         """(H, W, 3) base colour of the specular workflow."""
-        share = fitted_tables(self.model.shading).albedo(*self._meant)
+        share = workflows.fitted_tables(self.model.shading).albedo(*self._meant)
         if self.model.conserving:
             share = share / np.maximum(1.0 - brightest_channel(self.f0), 1e-6)[..., None]
         return np.clip(self.piece.picture("diffuse") * share, 0.0, 1.0)
@@ -103,7 +74,7 @@ class EngineModel:
 
     shading: TargetShading
     """The engine's shading model."""
-    workflow: Workflow
+    workflow: tex.Workflow
     """Parametrisation of the textures."""
     dielectric: tuple[float, float] = (0.0, 1.0)
     """Metallic workflow: (lowest, highest) F0 of dielectrics."""
@@ -113,7 +84,7 @@ class EngineModel:
     """Specular workflow: the engine multiplies the base colour by 1 - F0."""
     even: float | None = None
     """Largest F0 of dielectrics that one setting of the material can choose; None without one."""
-    form: Form = "plain"
+    form: workflows.Form = "plain"
     """Form of the metallic workflow (workflows.py)."""
 
     def of(self, job: ExportJob) -> EngineModel:
@@ -124,7 +95,7 @@ class EngineModel:
         if self.even is None:
             return self
         mean = mean_channel(job.specular)
-        plain = mean[mean < FIRST_METAL]
+        plain = mean[mean < workflows.FIRST_METAL]
         f0 = min(float(plain.mean()) if plain.size else self.dielectric[0], self.even)
         return replace(self, dielectric=(f0, f0))
 
@@ -134,7 +105,7 @@ class EngineModel:
         Another form than plain must gain _MARGIN: a slightly metallic leather may have a smaller
         residual, but gets a metal's tinted reflection.
         """
-        forms = [replace(self, form=form) for form in FORMS]
+        forms = [replace(self, form=form) for form in workflows.FORMS]
         return forms[nearest(job, [surface(one) for one in forms], _MARGIN)]
 
 
@@ -193,15 +164,15 @@ _LEVEL_F0 = 0.08  # F0 of specular level 1, in Unreal and Substance
 # Contents of textures: channels, meaning for the sidecar, and whether integers are sRGB-encoded
 # (None: if F0 is coloured).
 CONTENT: dict[str, tuple[str, str, bool | None]] = {
-    "diffuse": ("diffuse", DIFFUSE, True),
-    "specular": ("specular", SPECULAR, None),
-    "roughness": ("roughness", ROUGHNESS, False),
-    "occlusion": ("occlusion", OCCLUSION, False),
-    "cavity": ("cavity", CAVITY, False),
-    "bent": ("bent", f"{BENT}, +Y up (OpenGL)", False),
-    "height": ("height", CODED_HEIGHT, False),
-    "normal": ("normal", NORMAL, False),
-    "base": ("base", BASE, True),
+    "diffuse": ("diffuse", tex.DIFFUSE, True),
+    "specular": ("specular", tex.SPECULAR, None),
+    "roughness": ("roughness", tex.ROUGHNESS, False),
+    "occlusion": ("occlusion", tex.OCCLUSION, False),
+    "cavity": ("cavity", tex.CAVITY, False),
+    "bent": ("bent", f"{tex.BENT}, +Y up (OpenGL)", False),
+    "height": ("height", tex.CODED_HEIGHT, False),
+    "normal": ("normal", tex.NORMAL, False),
+    "base": ("base", tex.BASE, True),
     "metallic": ("metallic", "metallic", False),
     "level": ("level", "F0 / 0.08 of the dielectric", False),
     "f0": ("F0", "F0, on the sRGB curve", True),
@@ -241,7 +212,7 @@ def _stated(kind: str, text: str) -> tuple[str, str, Depth]:
 _DEPTHS = ("16", "half", "float")
 
 
-def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> Export:
+def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> tex.Export:
     """Convert and pack the textures of a preset."""
     choice = choice or ExportOptions()
     wanted = choice.maps
@@ -273,7 +244,7 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
     entries = _entries(job, preset, wanted) | {"textures": names}
     if model is not None and model.workflow == "metallic":
         entries["metallic"] = model.form
-    return Export(textures, documents, surfaces, preset.notes, entries)
+    return tex.Export(textures, documents, surfaces, preset.notes, entries)
 
 
 def _chosen(job: ExportJob, preset: Preset, model: EngineModel) -> EngineModel:
@@ -310,9 +281,9 @@ def _entries(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str,
     entries: dict[str, Any] = {}
     if "height" in there:
         whole = _height(job, _stated("height", preset.textures["height"])[2]).whole
-        entries |= height_entry(job, *(job.height_code if whole else (1.0, 0.0)))
+        entries |= tex.height_entry(job, *(job.height_code if whole else (1.0, 0.0)))
     if set(there) & {*_SHADED, "orm", "mask", "arm"}:
-        entries |= occlusion_entry(job)
+        entries |= tex.occlusion_entry(job)
     return entries
 
 
@@ -330,18 +301,18 @@ def _made(job: ExportJob, model: EngineModel | None, kind: str, text: str) -> Te
 
 def _height(job: ExportJob, depth: Depth) -> TextureFile:
     """The height texture: integers hold coded heights, floats plane units."""
-    made = TextureFile.of(job, coded_height, depth, CODED_HEIGHT, lossy=False)
-    return made if made.whole else replace(made, make=picture("height"), meaning=HEIGHT)
+    made = TextureFile.of(job, tex.coded_height, depth, tex.CODED_HEIGHT, lossy=False)
+    return made if made.whole else replace(made, make=tex.picture("height"), meaning=tex.HEIGHT)
 
 
 def _normal(job: ExportJob, depth: Depth, *, dx: bool) -> TextureFile:
     """The normal texture: integers hold 0.5 + 0.5 n, floats n."""
     up = "+Y down (DirectX)" if dx else "+Y up (OpenGL)"
-    make = coded_normal_dx if dx else coded_normal
-    made = TextureFile.of(job, make, depth, f"{NORMAL}, {up}")
+    make = tex.coded_normal_dx if dx else tex.coded_normal
+    made = TextureFile.of(job, make, depth, f"{tex.NORMAL}, {up}")
     if made.whole:
         return made
-    meaning = f"{SIGNED_NORMAL}, {up}"
+    meaning = f"{tex.SIGNED_NORMAL}, {up}"
     return replace(made, make=lambda piece: 2.0 * make(piece) - 1.0, meaning=meaning)
 
 
@@ -387,6 +358,6 @@ def _seen_roughness(seen: dict[str, Tensor]) -> Tensor:
 
 def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> Tensor:
     kind = "normal_dx" if "normal_dx" in seen else "normal_gl"
-    bent = signed(seen[kind]) if textures[kind].whole else seen[kind]
+    bent = tex.signed(seen[kind]) if textures[kind].whole else seen[kind]
     sign = [1.0, -1.0 if kind == "normal_dx" else 1.0, 1.0]
     return bent * bent.new_tensor(sign)[:, None, None]

@@ -17,6 +17,7 @@ from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_
 from matcap.export.formats import Picture
 from matcap.export.job import ExportJob
 from matcap.export.texture_file import TextureFile
+from matcap.relight.environment_map import albedo
 
 # Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).
 #
@@ -24,12 +25,13 @@ from matcap.export.texture_file import TextureFile
 # part. TargetShading lists these properties; one evaluation serves all targets. Sources:
 #
 # - glTF 2.0, appendix B: the diffuse part is multiplied by 1 - F(v.h) of the brightest channel.
-# UsdPreviewSurface 2.6: of each channel; its metals have their own colour at grazing. - MaterialX
-# 1.39 (OpenPBR, standard_surface), Unreal's Substrate: multiplied by 1 - directional albedo of the
-# layer; multiple scattering is compensated [turquin2019, eq. 16]. - Unreal, Godot: an approximation
-# of height-correlated Smith [hammon2017, slide 83]; F90 falls to 0 with F0 below 0.02
-# [lazarov2013]. - Unity HDRP: Disney's diffuse [burley2012, eq. 4], divided by 1.03571. - Unity
-# URP: visibility and Fresnel in one term [zioma2015].
+#   UsdPreviewSurface 2.6: of each channel; its metals have their own colour at grazing.
+# - MaterialX 1.39 (OpenPBR, standard_surface), Unreal's Substrate: multiplied by 1 - directional
+#   albedo of the layer; multiple scattering is compensated [turquin2019, eq. 16].
+# - Unreal, Godot: an approximation of height-correlated Smith [hammon2017, slide 83]; F90 falls to
+#   0 with F0 below 0.02 [lazarov2013].
+# - Unity HDRP: Disney's diffuse [burley2012, eq. 4], divided by 1.03571.
+# - Unity URP: visibility and Fresnel in one term [zioma2015].
 
 _DISNEY = 1.0 / 1.03571  # Unity's normalisation
 _FADING = 50.0  # F90 = min(50 F0, 1) [lazarov2013]
@@ -213,17 +215,13 @@ def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tenso
 @lru_cache(maxsize=1)
 def _tables() -> Tensor:
     """(1, 2, 64, 64) tables b and b + s of the albedo F0 s + b, by roughness and sqrt(n.v)."""
-    from matcap.relight.environment_map import albedo
-
     made = albedo()
     return torch.stack([torch.from_numpy(made.bias), torch.from_numpy(made.total)])[None]
 
 
 # The reflectance that a target renders from its files, and the residual against matcap's.
 #
-# A TargetSurface has the target's parameters as read from its files, rounding included, and its
-# shading model (shading.py).
-
+# A TargetSurface has the target's parameters as read from its files, rounding included.
 
 # Directions of the residual, in degrees: angles of view and light to +z, azimuths of the light.
 _VIEWS = (0.0, 45.0)

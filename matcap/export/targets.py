@@ -18,7 +18,6 @@ Keys:
     height_code: of integer or scaled heights, `scale`, `midlevel` and `unit`:
         height = (value - midlevel) * scale.
     periodic: whether the maps tile seamlessly.
-    udim: null; (columns, rows) of texture sets of earlier versions, whose file names have `<UDIM>`.
     seam: step across the border over steps inside, about 1 without a seam.
     files: for each texture its `colour_space`, `depth` and `meaning`.
     documents: names of the other files.
@@ -57,6 +56,7 @@ from matcap.export.shading import Residual, residuals
 from matcap.export.texture_file import WRITERS
 from matcap.export.textures import Export, Workflow
 from matcap.export.usd import usd_metallic, usd_specular
+from matcap.field.opened import open_tile
 from matcap.files.names import MAKER_VERSION, plain_name, sanitised_name
 from matcap.files.output import Output, check_output
 from matcap.files.settings import known
@@ -139,8 +139,6 @@ def export_mapset(
         UsageError: no such target.
         MatcapError: no map set, a full disk, an unwritable folder.
     """
-    from matcap.field.opened import open_tile
-
     opened = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
     millimetres = known_scale(opened.provenance)
@@ -279,7 +277,6 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "tile": [across, down],
         "texel": job.maps.texel_size * job.unit_length,
         "periodic": job.maps.periodic,
-        "udim": None,
         "seam": round(seam_ratio(job.maps), 3),
         "files": {
             file: {

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -150,8 +151,6 @@ class TextureFile:
         whole: Any = self.pixels(job)
         if self.container == "png":
             return _tagged(png_bytes(whole), self, job) if tagged else png_bytes(whole)
-        import cv2
-
         flags = [
             cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
             cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,

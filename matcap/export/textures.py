@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from torch import Tensor
 
 from matcap.export.formats import Picture
 from matcap.export.job import ExportJob, MapRows
+from matcap.export.occlusion import settings
+from matcap.export.shading import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import TextureFile
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from matcap.export.shading import MadeSurface, Reader, TargetSurface
-
 
 Workflow = Literal["metallic", "specular"]
 
@@ -70,8 +67,6 @@ def standard_textures(job: ExportJob) -> dict[str, TextureFile]:
 
 def standard_surface(textures: Mapping[str, TextureFile], read: Reader) -> TargetSurface:
     """The reflectance that a target renders of standard_textures."""
-    from matcap.export.shading import TargetSurface
-
     diffuse, specular, roughness = (read(textures[k]) for k in ("diffuse", "specular", "roughness"))
     return TargetSurface(diffuse, specular, roughness, signed(read(textures["normal_gl"])))
 
@@ -123,8 +118,6 @@ def height_entry(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any
 
 def occlusion_entry(job: ExportJob) -> dict[str, Any]:
     """The sidecar's entry: parameters of ambient occlusion."""
-    from matcap.export.occlusion import settings
-
     return {"occlusion": settings(*job.maps.size)}
 
 

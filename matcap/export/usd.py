@@ -26,6 +26,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 
+from matcap.export import textures as tex
 from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
 from matcap.export.job import ExportJob, MapRows
@@ -33,24 +34,6 @@ from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import EngineModel, PackedMaterial
 from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import (
-    BASE,
-    CODED_HEIGHT,
-    NORMAL,
-    OCCLUSION,
-    ROUGHNESS,
-    SPECULAR,
-    Export,
-    by_file,
-    coded_height,
-    coded_normal,
-    file_names,
-    height_entry,
-    occlusion_entry,
-    picture,
-    signed,
-    standard_textures,
-)
 from matcap.export.workflows import base_colour, clipping_notes, specular_colour
 from matcap.files.names import MAKER
 
@@ -65,7 +48,7 @@ _HEADER = 30  # bytes of a zip's local header, without name and extra field
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
-def usd_specular(job: ExportJob) -> Export:
+def usd_specular(job: ExportJob) -> tex.Export:
     """NAME.usda with its textures, and NAME.usdz with all of them inside; specular workflow.
 
     Raises:
@@ -77,10 +60,12 @@ def usd_specular(job: ExportJob) -> Export:
         return rgb(specular_colour(piece, SHADING))
 
     inputs = {
-        "base_color": TextureFile.of(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        "base_color": TextureFile.of(
+            job, lambda p: base_colour(p, SHADING), "8", tex.BASE, srgb=True
+        ),
         # sRGB-encoded: three.js decodes it regardless of the stage's sourceColorSpace.
-        "specular": TextureFile.of(job, tint, "16", SPECULAR, srgb=True),
-        "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
+        "specular": TextureFile.of(job, tint, "16", tex.SPECULAR, srgb=True),
+        "roughness": TextureFile.of(job, tex.picture("roughness"), "16", tex.ROUGHNESS),
         **_shared(job),
     }
     in_browsers = {kind: one.in_browsers() for kind, one in inputs.items()}
@@ -109,7 +94,7 @@ def _seen_specular(
         relief: factor on slopes, as three.js takes the scale of the normal texture.
     """
     f0 = read(inputs["specular"]) * factor
-    normal = signed(read(inputs["normal_gl"]))
+    normal = tex.signed(read(inputs["normal_gl"]))
     return TargetSurface(
         read(inputs["base_color"]),
         f0,
@@ -120,7 +105,7 @@ def _seen_specular(
     )
 
 
-def usd_metallic(job: ExportJob) -> Export:
+def usd_metallic(job: ExportJob) -> tex.Export:
     """NAME.usda and NAME.usdz in the metallic workflow.
 
     Raises:
@@ -142,12 +127,12 @@ def _metallic_inputs(
 ) -> dict[str, TextureFile]:
     return {
         "base_color": TextureFile.of(
-            job, lambda p: PackedMaterial(p, model).metallic.base, "8", BASE, srgb=True
+            job, lambda p: PackedMaterial(p, model).metallic.base, "8", tex.BASE, srgb=True
         ),
         "metallic": TextureFile.of(
             job, lambda p: PackedMaterial(p, model).metallic.metallic, "8", "metallic"
         ),
-        "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
+        "roughness": TextureFile.of(job, tex.picture("roughness"), "16", tex.ROUGHNESS),
         **shared,
     }
 
@@ -161,7 +146,7 @@ def _seen(model: EngineModel, inputs: dict[str, TextureFile], read: Reader) -> T
         base * (1.0 - metal),
         mixed,
         read(inputs["roughness"]),
-        signed(read(inputs["normal_gl"])),
+        tex.signed(read(inputs["normal_gl"])),
         f90=colour,
         layer=mixed,
         shading=SHADING,
@@ -171,9 +156,9 @@ def _seen(model: EngineModel, inputs: dict[str, TextureFile], read: Reader) -> T
 def _shared(job: ExportJob) -> dict[str, TextureFile]:
     """Textures of both workflows."""
     return {
-        "normal_gl": TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
-        "height": TextureFile.of(job, coded_height, "16", CODED_HEIGHT, lossy=False),
-        "occlusion": TextureFile.of(job, picture("occlusion"), "8", OCCLUSION),
+        "normal_gl": TextureFile.of(job, tex.coded_normal, "16", f"{tex.NORMAL}, +Y up (OpenGL)"),
+        "height": TextureFile.of(job, tex.coded_height, "16", tex.CODED_HEIGHT, lossy=False),
+        "occlusion": TextureFile.of(job, tex.picture("occlusion"), "8", tex.OCCLUSION),
     }
 
 
@@ -182,16 +167,16 @@ def _export(
     inputs: dict[str, TextureFile],
     index: float,
     surfaces: dict[str, MadeSurface],
-) -> Export:
+) -> tex.Export:
     """The export of textures of UsdPreviewSurface by kind, and its index of refraction."""
     layered = Layered.of(job)
     label = "mtlx_specular" if layered.kind == "tint" else "mtlx_metalness"
     textures = inputs | {"mtlx_base": layered.base, label: layered.second}
-    files = file_names(job.name, textures)
+    files = tex.file_names(job.name, textures)
     stage = _stage(job, index, layered, files).encode()
 
     def openpbr(read: Reader) -> TargetSurface:
-        return layered.surface(standard_textures(job), read)
+        return layered.surface(tex.standard_textures(job), read)
 
     def package(folder: Path) -> bytes:
         # Read one by one, to bound memory.
@@ -201,12 +186,12 @@ def _export(
     documents: dict[str, bytes | Callable[[Path], bytes]] = {
         f"{job.name}.usda": stage, f"{job.name}.usdz": package,
     }  # fmt: skip
-    return Export(
-        by_file(job.name, textures),
+    return tex.Export(
+        tex.by_file(job.name, textures),
         documents,
         surfaces | {"mtlx": openpbr},
         (*clipping_notes(job, SHADING), *job.size_notes()),
-        height_entry(job, *job.height_code) | occlusion_entry(job),
+        tex.height_entry(job, *job.height_code) | tex.occlusion_entry(job),
     )
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, get_args
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -73,8 +74,6 @@ class FittedTables:
 
     @staticmethod
     def _at(table: Picture, f0: Picture, roughness: Picture) -> Picture:
-        import cv2
-
         if np.ptp(table) < 1e-5:  # most tables are 1 throughout
             return np.full_like(f0, table.flat[0])
         if f0.ndim == 3:
@@ -180,10 +179,10 @@ def _nearest(
 # written (presets.py):
 #
 # - plain: metallic is above 0 only where F0 is above 0.2, which no common dielectric reaches. The
-# base colour reproduces the diffuse albedo, metallic the mean F0. - tinted: the same metallic; the
-# base colour is the least-squares compromise of diffuse and F0. - free: base colour, metallic and
-# dielectric F0 minimise the difference of light; exact for maps of a metallic material. Dielectrics
-# may become metallic, so it must be clearly better.
+#   base colour reproduces the diffuse albedo, metallic the mean F0.
+# - tinted: the same metallic; the base colour is the least-squares compromise of diffuse and F0.
+# - free: base colour, metallic and dielectric F0 minimise the difference of light; exact for maps
+#   of a metallic material. Dielectrics may become metallic, so it must be clearly better.
 #
 # shading.residuals measures the remaining error.
 

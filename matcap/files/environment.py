@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,8 +60,6 @@ def read_picture(path: Path) -> EnvironmentPicture:
 
 def narrowed(picture: EnvironmentPicture) -> EnvironmentPicture:
     """The picture, downsampled if it is wider than programs need."""
-    import cv2
-
     height, width = picture.shape[:2]
     if width <= _WIDEST:
         return picture

@@ -111,11 +111,6 @@ def sanitised_name(name: str, otherwise: str = "material") -> str:
     return _UNUSUAL.sub("_", name)[:100].strip(" .") or otherwise
 
 
-def is_portable(name: str) -> bool:
-    """Whether a name has only letters, digits, spaces and _ . , ( ) + -, safe for all programs."""
-    return not _UNUSUAL.search(name)
-
-
 def usable_name(name: str, otherwise: str = "material") -> str:
     """The name of an existing file if it is plain, else sanitised_name of it."""
     return sanitised_name(name, otherwise) if name_fault(name) else name
@@ -147,20 +142,12 @@ class StagedFolder(PosixPath):
 
 # UDIM texture sets: tiles numbered 1001 + column + 10 row from the bottom left.
 
-TOKEN = "<UDIM>"  # stands for a tile's number in file names
 _COLUMNS, _ROWS = 10, 900
 
 
 def tile_number(column: int, row: int) -> int:
     """Number of a tile; (0, 0) is the bottom left one, 1001."""
     return 1001 + column + 10 * row
-
-
-def tile_names(name: str, grid: tuple[int, int] | None) -> list[str]:
-    """File names of a texture of (columns, rows) tiles, from the bottom row; None is one tile."""
-    columns, rows = grid or (1, 1)
-    numbers = [tile_number(column, row) for row in range(rows) for column in range(columns)]
-    return [name.replace(TOKEN, str(number)) for number in numbers]
 
 
 def check_grid(columns: int, rows: int, where: str = "") -> None:

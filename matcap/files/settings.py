@@ -130,24 +130,6 @@ def seed(text: str | int) -> int:
     return int(text)
 
 
-def number(
-    least: float, most: float, kind: type[int] | type[float] = float
-) -> Callable[[str | float], float]:
-    """A parser of numbers, whole ones of kind int, in [least, most]."""
-    wanted = "a whole number" if kind is int else "a number"
-
-    def parsed(text: str | float) -> float:
-        try:
-            value = kind(text)
-        except ValueError:
-            raise ValueError(f"'{str(text)[:40]}' is not {wanted}") from None
-        if not least <= value <= most:
-            raise ValueError(f"'{text}' is not from {least:g} to {most:g}")
-        return value
-
-    return parsed
-
-
 def sides(most: int) -> Callable[[str | Size], Size]:
     """A parser of sizes whose sides are at most `most`."""
 

@@ -37,7 +37,6 @@ from matcap.photo.photo import Photo
 # it. Relief under a flash has more energy along the direction of the light, too: the second
 # estimate leaves local orientation free.
 
-
 ESTIMATES = 2
 _COLUMNS = (256, 1024)  # columns of the picture that is read, at least and at most
 _WINDOWS = 8  # windows across the picture, beside each other; they overlap by half
@@ -184,7 +183,6 @@ def _free(kx: NDArray[np.float64], ky: NDArray[np.float64], side: int, oriented:
 #
 # Angles are those of FlashSetup, in radians: positive tilt_x turns the plane's upper edge towards
 # the camera, positive tilt_y its left edge.
-
 
 WIDTH = 256  # columns of the input image
 CONDITIONS = 3  # scalar inputs

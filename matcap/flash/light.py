@@ -35,9 +35,6 @@ from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, pro
 # Precomputed are directions and power of a light at fixed points (`FlashLight`), and its irradiance
 # on a fixed relief (`Incidence`). Any leading batch dimensions. `linearised` is the Jacobian of log
 # L in closed form, for fits of maps to photographs (inputs of the network are finite differences).
-#
-# Read next: render.py, pictures of whole map sets.
-
 
 # Squared distance from the centre of the corner of a 4:3 picture, the unit of vignetting.
 CORNER_SQUARED = 1.25**2
@@ -258,7 +255,7 @@ def _column(vector: Tensor) -> Tensor:
     return vector[:, None, None] if vector.ndim == 1 else vector
 
 
-# Map sets and uniform materials under a flash: to scene-linear radiance (light.py).
+# Map sets and uniform materials under a flash, to scene-linear radiance.
 
 
 def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity: Tensor) -> Tensor:

@@ -23,7 +23,6 @@ from matcap.statistics.compare import Encoding, fit_encoding
 # cubic interpolation and then averaged over texels; downsampling before a subpixel shift would lose
 # half of the amplitude of the finest texture.
 
-
 FINER = 2  # samples along the side of a texel, if the photograph has more pixels than texels
 MOST_LEFT_OUT = 0.02  # largest masked share of a valid texel, and largest clipped one of a cell
 

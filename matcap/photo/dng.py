@@ -20,22 +20,10 @@ from numpy.typing import NDArray
 from matcap.files.color import LINEAR, REC709_TO_D50, ColorSpace
 from matcap.files.containers import Tag, decoding, unsupported
 from matcap.files.stated_color import StatedColor
+from matcap.photo import raw_samples
 from matcap.photo.developed import decode, light
 from matcap.photo.opcodes import VALUE_MAPPING, Opcodes, parse_opcodes
 from matcap.photo.photo import Decoded, check_size
-from matcap.photo.raw_samples import (
-    CFA,
-    FLOATING,
-    JPEG_XL,
-    Crop,
-    check_codecs,
-    crop_of,
-    needs_normalising,
-    normalised,
-    numbers,
-    raw_page,
-    unsupported_pattern,
-)
 
 Matrix = NDArray[np.float64]
 
@@ -119,7 +107,10 @@ class _Camera:
     @staticmethod
     def of(tags: Mapping[int, Any]) -> _Camera | None:
         color = [_matrix(tags, tag) for tag in _COLOR]
-        known = [_KELVIN.get(int(numbers(tags, tag, (-1.0,))[0]), 0.0) for tag in _ILLUMINANTS]
+        known = [
+            _KELVIN.get(int(raw_samples.numbers(tags, tag, (-1.0,))[0]), 0.0)
+            for tag in _ILLUMINANTS
+        ]
         # Two matrices are used only if both illuminants are known and differ.
         both = color[1] is not None and min(known) > 0.0 and known[0] != known[1]
         kept = [i for i in (0, 1) if color[i] is not None][: 2 if both else 1]
@@ -198,7 +189,7 @@ def temperature(white: tuple[float, float]) -> float:
 def _numbers(tags: Mapping[int, Any], tag: int, count: int) -> Matrix | None:
     """So many numbers of a tag; None if it is absent, has others, or a rational over 0."""
     with np.errstate(all="ignore"):
-        values = numbers(tags, tag, ())
+        values = raw_samples.numbers(tags, tag, ())
     return values if len(values) == count and np.isfinite(values).all() else None
 
 
@@ -222,7 +213,7 @@ class Corrections:
     """OpcodeList3."""
     samples: Literal["plain", "packed", "misread", "floating"] = "plain"
     """Whole numbers that LibRaw reads, cannot read (JPEG XL) or misreads; or floating point."""
-    crop: Crop | None = None
+    crop: raw_samples.Crop | None = None
     """Part of the active area that is the picture; None is all of it."""
     active_area: tuple[int, int, int, int] | None = None
     """Top, left, bottom, right (the last two excluded) of the area that gain maps refer to, in the
@@ -248,11 +239,11 @@ def read_corrections(path: Path) -> Corrections:
     import tifffile
 
     with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
-        page = raw_page(file)
+        page = raw_samples.raw_page(file)
         if page is None:
             return Corrections()
-        pattern = unsupported_pattern(page)
-        if pattern and int(page.photometric) == CFA:
+        pattern = raw_samples.unsupported_pattern(page)
+        if pattern and int(page.photometric) == raw_samples.CFA:
             raise unsupported(path, f"a DNG whose mosaic repeats by {pattern} photosites")
         # A list without entries where the tag is absent.
         before, after = (
@@ -260,15 +251,15 @@ def read_corrections(path: Path) -> Corrections:
             for tag in (Tag.OpcodeList2, Tag.OpcodeList3)
         )
         samples: Literal["plain", "packed", "misread", "floating"] = "plain"
-        if int(page.sampleformat) == FLOATING:
+        if int(page.sampleformat) == raw_samples.FLOATING:
             samples = "floating"
-        elif needs_normalising(page, bool(before.value_maps)):
+        elif raw_samples.needs_normalising(page, bool(before.value_maps)):
             samples = "misread"
-        elif int(page.compression) == JPEG_XL:
+        elif int(page.compression) == raw_samples.JPEG_XL:
             samples = "packed"
         of_file = file.pages.first.tags
         tags = {tag.code: tag for one in (of_file, page.tags) for tag in one}
-        area, crop = _active_area(page), crop_of(page, tags)
+        area, crop = _active_area(page), raw_samples.crop_of(page, tags)
         asked = sorted((before.changes - {VALUE_MAPPING}) | after.changes)
         notes = [f"The DNG asks for {what}, which was not applied." for what in asked]
         if crop is not None and not crop.centred:
@@ -315,11 +306,11 @@ def read_float_dng(
     if color is None or corrections.has_maps:
         raise unsupported(path, "a float DNG without a colour matrix, or with gain maps")
     with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
-        page: Any = raw_page(file)
+        page: Any = raw_samples.raw_page(file)
         check_size(path, page.imagewidth, page.imagelength)
         if int(page.compression) != 1:
-            check_codecs(path)
-        samples = normalised(page)
+            raw_samples.check_codecs(path)
+        samples = raw_samples.normalised(page)
         pattern = bytes(page.tags[Tag.CFAPattern].value) if samples.ndim == 2 else None
     camera = samples[..., :3] if pattern is None else _binned(path, samples, pattern)
     size, whole = (samples.shape[1], samples.shape[0]), None

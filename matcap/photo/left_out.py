@@ -67,8 +67,6 @@ def shrunk_size(width: int, height: int, long_side: int | None) -> tuple[int, in
 
 def area_averaged(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[np.float32]:
     """A picture (H, W) or (H, W, C) shrunk to (width, height) by means over areas."""
-    import cv2
-
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 

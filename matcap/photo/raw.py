@@ -10,6 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +30,6 @@ from matcap.photo.raw_samples import plain_dng
 #
 # Captures need it because noise resembles texture: the same noise is added to renderings before
 # they are compared with the photograph (space/tuning/finetune.py).
-
 
 # Mixed second difference [immerkaer1996]: 0 for images that are linear along x or y, of unit gain
 # for noise.
@@ -122,8 +122,6 @@ def _measured(
     tile: NDArray[np.uint16], black: NDArray[np.float64], white: float
 ) -> NDArray[np.float64]:
     """(3, blocks) relative variance, and its value for shot noise of 1 and for read noise of 1."""
-    import cv2
-
     numbers = tile.astype(np.float32)
     signal = numbers - _tiled(black, tile.shape)
     smooth = np.empty_like(signal)
@@ -194,7 +192,6 @@ def _tiled(black: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.flo
 #
 # Noise is sampled on the mosaic and developed in the same way, so that the effects of demosaicing,
 # colour conversion and downsampling on it need no model.
-
 
 # Share of the white level from which on photosites count as clipped; they saturate a little below.
 CLIP_SHARE = 0.99
@@ -373,8 +370,6 @@ def _saturated(
     Also the share of clipped photosites, of the colour with the largest one. A channel with a
     white-balance gain above 1 is clipped by LibRaw at the white level divided by the gain.
     """
-    import cv2
-
     mosaic = raw.raw_image_visible
     lift = np.array([*balance, balance[1]])
     black = np.array(raw.black_level_per_channel, np.float64)

@@ -18,7 +18,6 @@ from matcap.relight.scene import Camera, Film
 # On a plane seen from straight above x is (1, W), y (H, 1) and z (1, 1), and arithmetic is cheap
 # accordingly.
 
-
 # Of any dtype: the functions below keep it.
 Array = NDArray[Any]
 Vec = tuple[Array, Array, Array]
@@ -92,7 +91,6 @@ def lattice(count: int) -> tuple[LatticePoint, ...]:
 
 
 # Camera rays through pixel centres, and the lens's vignetting.
-
 
 # Squared radius of a 4:3 picture's corner, with its long side in [-1, 1]: vignetting's r = 1.
 _CORNER_SQUARED = 1.25**2

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from matcap.files.environment import narrowed, read_picture
@@ -243,7 +244,6 @@ def _wrapped(level: Array) -> Array:
 # The map stays latitude-longitude, with a mip pyramid; a lookup turns its direction by the light's
 # rotation.
 
-
 # Columns of the latitude-longitude grid that integrals sum over; it has half as many rows.
 _SUMMED = 256
 # Side of the octahedral table of irradiance by normal.
@@ -347,8 +347,6 @@ class Environment:
         A plane sees the upper half only. Its own radiance below would enter the mean, and then have
         to cancel in single precision.
         """
-        import cv2
-
         top = self.levels[0]
         height, width = top.shape[:2]
         rows, columns = np.indices((height, width))
@@ -509,8 +507,6 @@ def _solid_angles(height: int, width: int) -> Array:
 
 
 def _pyramid(picture: Array) -> tuple[Array, ...]:
-    import cv2
-
     picture = narrowed(picture)
     if len(picture) < 2:
         picture = np.repeat(picture, 2, axis=0)

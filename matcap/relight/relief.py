@@ -10,6 +10,7 @@ from functools import cached_property
 from itertools import count
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from matcap.relight.camera import Array
@@ -29,7 +30,6 @@ from matcap.relight.loops.library import (
 from matcap.relight.texture import Texture
 
 # The height field that displaces a surface: bilinear between texel centres.
-
 
 # Offset of shadow rays above the surface, over the relief's height range, against rounding.
 _LIFT = 2e-6
@@ -157,8 +157,6 @@ class Relief:
 
 def _highest(field: Array, reach: int, mode: Literal["wrap", "edge"]) -> Array:
     """Maximum filter over a square of 2 reach + 1 texels (separable)."""
-    import cv2
-
     for axis, size in enumerate(field.shape):
         if 2 * reach + 1 >= size:
             field = np.broadcast_to(field.max(axis=axis, keepdims=True), field.shape)

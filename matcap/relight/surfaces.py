@@ -20,7 +20,6 @@ from matcap.relight.texture import Texture
 # squeezed towards a sphere's poles. The cylinder is upright and open. Displacement moves lookups in
 # the tangent plane; outlines stay smooth.
 
-
 # Picture's short side over a curved surface's diameter, with the default camera.
 _MARGIN = 1.25
 

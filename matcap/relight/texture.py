@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from matcap.brdf.edited import check_heights
 from matcap.relight.camera import Array, Vec, unit3
 from matcap.relight.loops.library import (
     DIFFUSE,
@@ -82,8 +83,6 @@ class Texture:
             ValueError: the maps have batch dimensions.
             MatcapError: heights that single precision cannot hold (check_heights).
         """
-        from matcap.brdf.edited import check_heights
-
         if maps.height.ndim != 3:
             raise ValueError("maps with batch dimensions cannot be rendered: pass one map set")
         normal = maps.normal
@@ -163,7 +162,6 @@ def _differences(field: Array, axis: int) -> Array:
 
 
 # Texture lookups: bilinear, or trilinear in a mip pyramid with slope variance [olano2010].
-
 
 # Distance from texel centres, in texels, within which lookups return the texels themselves.
 _ALIGNED = 1e-3

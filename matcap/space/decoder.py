@@ -106,7 +106,6 @@ def _convolve_fused(
 # A rectangle is decoded either as a torus (`periodic=True`) or with a halo of noise around it,
 # which the caller cuts off; no border is padded.
 
-
 CODE_SIZE = 64  # dimensions of the latent vector, as in the paper
 OUTPUTS = 6  # diffuse (3), specular, roughness, height
 DEPTH = 4  # poolings; rectangles are multiples of 2^DEPTH
@@ -136,9 +135,6 @@ class DecoderConfig:
         """Lattice channels of every level of the way up."""
         return WAVE_CHANNELS + self.cells
 
-
-# The paper's configuration at width 32; 2.2 million parameters.
-PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=(2, 2))
 
 Moments = tuple[Tensor, Tensor]  # mean and standard deviation, (channels,) each
 

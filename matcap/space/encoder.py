@@ -27,9 +27,8 @@ from matcap.statistics.compare import (
 # its position), parameters of the coarse fit, and texture statistics. Residual blocks [he2016] are
 # fewer than the paper's, with group normalisation, as a batch has few materials.
 
-
-NUMBERS = 16  # parameters of the coarse fit (space/encoder.py)
-TEXTURE = 231  # texture statistics at full resolution (space/encoder.py)
+NUMBERS = 16  # parameters of the coarse fit
+TEXTURE = 231  # texture statistics at full resolution
 
 _LEAST_LOG_VARIANCE, _MOST_LOG_VARIANCE = -8.0, 4.0  # of a dimension of the latent vector
 
@@ -64,9 +63,9 @@ class Encoder(nn.Module):
         """Mean and log-variance, (B, CODE_SIZE) each.
 
         Args:
-            picture: (B, PICTURE_CHANNELS, h, w) from picture.picture().
-            numbers: (B, NUMBERS) from encoder_input.numbers().
-            texture: (B, TEXTURE) from encoder_input.texture().
+            picture: (B, PICTURE_CHANNELS, h, w) from flash.alignment.picture().
+            numbers: (B, NUMBERS) from numbers().
+            texture: (B, TEXTURE) from texture().
         """
         features = self.features(picture.contiguous(memory_format=torch.channels_last))
         pooled = pool(features)
@@ -98,7 +97,6 @@ def _features() -> tuple[nn.Module, int]:
 # The encoder's image is too small to show fine texture. Autocorrelation, contrast and quantiles of
 # windows at full resolution describe it.
 
-
 FEATURES = FilterBankConfig(sizes=(5,), filters=64)  # of the texture loss in training
 # Gram matrices are no inputs of the encoder; one filter keeps them small.
 _ENCODER_BANK = FilterBankConfig(sizes=(5,), filters=1, crossed=False)
@@ -115,7 +113,7 @@ def numbers(coarse: CoarseFit, contrast: Tensor, detail: int) -> Tensor:
     """(NUMBERS,) parameters of the coarse fit, each about standard normal.
 
     Args:
-        contrast: (3,) from tuning.start.log_contrast.
+        contrast: (3,) from tuning.match.log_contrast.
         detail: texels across the photograph.
     """
     setup = coarse.setup

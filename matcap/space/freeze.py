@@ -38,7 +38,6 @@ from matcap.statistics.lattice import Wave
 # texels. Level k has means of 2^k x 2^k texels. Statistics alone close no cell of leather, however
 # well they are matched (docs/notes/prior.md).
 
-
 AROUND = 16  # texels; slower relief is no pattern
 _DARKEST = 1e-3  # least luminance
 _FLAT = 1e-4  # least deviation that is standardised
@@ -174,7 +173,6 @@ def spans_of(output: Span, convolutions: tuple[int, int]) -> Spans:
 # are measured once on a large reference field and stored turn every AdaIN into an affine map, which
 # folds into the convolution before it. What remains is a CNN whose output at a texel depends on the
 # noise around it alone.
-
 
 _SIZE = 512  # texels a side of the reference field
 _REFERENCE_SEED = -1  # a seed that users are unlikely to choose

@@ -71,7 +71,6 @@ class Patch:
 #
 # Integers are torch.int64, whose products and sums wrap modulo 2^64 on every device.
 
-
 _CHANNELS_PER_HASH = 4  # of 16 bits each
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64
 _TOP_BITS = 0x8000800080008000  # sign bits of the four 16-bit numbers in a hash
@@ -141,10 +140,9 @@ def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
 # correlation beyond its receptive field; periodic inputs give it the phase of the lattice
 # everywhere [bergmann2017]. Two kinds of channel, both of zero mean and unit variance:
 #
-# - *waves*: cosine and sine of plane waves, with a random phase by the seed (field/plane.py). -
-# *cells*: noise that is constant over each cell of the lattice, for tiles, planks and threads that
-# differ from each other and have sharp borders.
-
+# - *waves*: cosine and sine of plane waves, with a random phase by the seed (field/turns.py).
+# - *cells*: noise that is constant over each cell of the lattice, for tiles, planks and threads
+#   that differ from each other and have sharp borders.
 
 WAVE_CHANNELS = 12  # cosine and sine of six harmonics
 CELL_CHANNELS = 4  # for a material that has waves

@@ -42,7 +42,6 @@ from matcap.statistics.lattice import Wave
 
 # A decoder's configuration from a file, checked, as the file may be hostile.
 
-
 # Limits of the memory that a hostile file can claim.
 _LARGEST_WIDTH = 1024  # channels
 _MOST_CELLS = 64  # channels at full resolution
@@ -231,7 +230,6 @@ def _lying(block: Rectangle) -> Rectangle:
 
 
 # The fine-tuned decoder of a material, and its part of a material's file.
-
 
 _CPU = torch.device("cpu")
 

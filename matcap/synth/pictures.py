@@ -130,7 +130,7 @@ def read_texels(file: IO[bytes], kind: np.dtype[Any], width: int, rows: slice) -
 
 # Files of a map set: tiled EXR, with mip levels on request, and 16-bit PNGs.
 #
-# Written by OpenImageIO in strips of rows, from the computed texels (pictures.py). Maps are half
+# Written by OpenImageIO in strips of rows, from the computed texels. Maps are half
 # floats, heights 32-bit floats. A mip level is the box average of the next larger one; normals are
 # averaged and normalised, and roughness does not take up the variance of the normals that is lost.
 # PNGs hold the values of the EXR files.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Request for a rectangle of a material's field as files, and how it is computed.
 #
-# Read next: fields.py (the field), plan.py (which files), stream.py (how they are written).
+# Read next: plan.py (the field, and which files), stream.py (how they are written).
 
 _ADDRESS = re.compile(r"[a-z]+://\S+|[^\s/:]+:\d{1,5}")
 

@@ -144,9 +144,8 @@ def _first(pending: deque[tuple[Job, Future[BlockResult]]]) -> tuple[Job, BlockR
     return job, result.result()
 
 
-# Worker pool that computes blocks: threads, processes, or a Dask cluster.
-#
-# Read next: field/source.py (why one thread a block), stream.py (which uses the results).
+# Worker pool that computes blocks: threads, processes, or a Dask cluster; field/source.py says why
+# one thread a block.
 
 _AHEAD = 2  # blocks in flight for each worker: one computed, one waiting
 _FEW = 24  # up to so many blocks, threads are done before processes have started

@@ -27,20 +27,18 @@ from dataclasses import asdict
 from html import escape
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import LARGEST_HALF
 from matcap.files.names import check_suffix
+from matcap.files.output import Output
 from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture
-from matcap.view.subject import Maps, Materials, Viewable, ViewFacts
-
-if TYPE_CHECKING:
-    from matcap.brdf.maps import MapSet
-
+from matcap.view.subject import Materials, Viewable, ViewFacts
 
 _SPARED = 2  # fraction bits of half floats that albedos are rounded by
 
@@ -146,8 +144,6 @@ def write_page(document: str, path: Path) -> None:
         UsageError: the name does not end in .html.
         MatcapError: the file cannot be written.
     """
-    from matcap.files.output import Output
-
     check_page_path(path)
     with Output.file(path) as file:
         file.write_text(document, encoding="utf-8")
@@ -167,7 +163,6 @@ def _tile(subject: Viewable, size: int) -> MapSet:
                 f"choose a multiple of 16 from 16 to {_LARGEST_TILE}",
             )
         return subject.first.maps(size, size, seed=subject.seed, period=(size, size))
-    assert isinstance(subject, Maps)
     if max(subject.maps.size) > _LARGEST_TILE:
         raise UsageError.at(
             subject.name,

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.example.coordinates import Places
+from matcap.example.example import Example, coarse_places, detail_bits
+from matcap.example.exemplar import Exemplar
+from matcap.example.library import draw, hash_places
 from matcap.field.field import Field
+from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-
-if TYPE_CHECKING:
-    from matcap.example.coordinates import Places
-    from matcap.example.example import Example
-    from matcap.example.exemplar import Exemplar
-    from matcap.field.material import Material
-    from matcap.field.source import Source
-
+from matcap.field.source import Source
 
 # Moments: quantities whose averages are the mip levels of a material [olano2010].
 #
@@ -123,8 +120,6 @@ class ExampleLevels:
 
     def read(self, level: int, area: Rectangle) -> Planes:
         """(9 or 11, height, width) moments of an area, in texels of a level."""
-        from matcap.example.example import coarse_places, detail_bits
-
         if level <= max(_NEAR, detail_bits(self.example.exemplar)):
             stacked = self.example.maps(self.seed, _finest(level, area).grown(RING), None)
             return _coarser(moments_of(stacked, self.texel_size), level)
@@ -222,8 +217,6 @@ class NetworkLevels:
 
         mean + sum w (tile - mean) / sqrt(sum w^2), without the paper's histogram transformation.
         """
-        from matcap.example.library import draw, hash_places
-
         # Of at least 8 texels a side.
         seen = min(level, _TILE.bit_length() - 4)
         mean = self.mean

@@ -10,34 +10,22 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from matcap.errors import UsageError
 from matcap.example.example import Example
+from matcap.field.material import Material
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle
 from matcap.files.names import read_document
 from matcap.files.pixels import jpeg_bytes
-from matcap.photo.load import RAW_SUFFIXES
-from matcap.view.level_of_detail import (
-    ALBEDO,
-    ALPHA2,
-    F0,
-    HEIGHT,
-    SLOPE_X,
-    SLOPE_Y,
-    SQUARES,
-    Planes,
-    halved,
-)
+from matcap.flash.geometry import FlashSetup
+from matcap.flash.rectify import picture_of, rectify
+from matcap.photo.load import RAW_SUFFIXES, load_photo
+from matcap.photo.photo import ToneCurve, standing
+from matcap.view import level_of_detail as lod
 from matcap.view.subject import Viewable
-
-if TYPE_CHECKING:
-    from matcap.field.material import Material
-    from matcap.flash.geometry import FlashSetup
-    from matcap.photo.photo import ToneCurve
-
 
 # Pages: rectangles of the endless plane, at mip levels, that the browser fetches.
 #
@@ -49,7 +37,6 @@ if TYPE_CHECKING:
 # diffuse albedo and F0 (four half floats a texel); alpha^2, slopes along x and y, and slope
 # variance (four floats); height (a float). Where F0 has a colour, its red is next to the albedo,
 # and its green and blue (two half floats) follow the height.
-
 
 # With their apron powers of two, so that texture coordinates are exact on graphics cards.
 WIDTH, PAGE_HEIGHT = 496, 240
@@ -95,10 +82,14 @@ class Page:
 
 
 class Pages:
-    """Computes and caches the pages of a subject; thread-safe."""
+    """Computes and caches the pages of a subject; thread-safe.
+
+    Attributes:
+        subject: of the pages.
+    """
 
     def __init__(self, subject: Viewable, workers: int | None = None) -> None:
-        self._subject = subject
+        self.subject = subject
         self._makers = ThreadPoolExecutor(workers or os.cpu_count(), thread_name_prefix="page")
         self._kept: OrderedDict[Place, Future[Page]] = OrderedDict()
         self._lock = Lock()
@@ -132,30 +123,32 @@ class Pages:
             raise UsageError(says, remedy=f"give one from 0 to {MOST_LEVEL}")
         if max(abs(area.x), abs(area.y)) << level > COORDINATE_LIMIT:
             raise UsageError("this page lies beyond 2^40 texels", remedy="stay nearer")
-        moments, texel_size = self._subject.moments(level, area, seed=place.seed, share=place.share)
+        moments, texel_size = self.subject.moments(level, area, seed=place.seed, share=place.share)
         return packed(moments, texel_size)
 
 
-def packed(moments: Planes, texel_size: float) -> Page:
+def packed(moments: lod.Planes, texel_size: float) -> Page:
     """Encode moments (9 or 11, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON) as a page."""
-    rough = np.sqrt(np.sqrt(moments[ALPHA2]))
-    channels = len(moments[F0])
-    ends = tuple((float(m.min()), float(m.max())) for m in (moments[F0], rough, moments[HEIGHT]))
+    rough = np.sqrt(np.sqrt(moments[lod.ALPHA2]))
+    channels = len(moments[lod.F0])
+    ends = tuple(
+        (float(m.min()), float(m.max())) for m in (moments[lod.F0], rough, moments[lod.HEIGHT])
+    )
     parts = []
     for mip in range(MIPS):
-        moments = halved(moments) if mip else moments
-        albedo, metal = _halves(moments[ALBEDO][:4]), _halves(moments[ALBEDO][4:])
+        moments = lod.halved(moments) if mip else moments
+        albedo, metal = _halves(moments[lod.ALBEDO][:4]), _halves(moments[lod.ALBEDO][4:])
         surface = np.empty((*moments.shape[1:], 4), "<f4")
-        surface[..., 0] = moments[ALPHA2]
-        surface[..., 1], surface[..., 2] = moments[SLOPE_X], moments[SLOPE_Y]
+        surface[..., 0] = moments[lod.ALPHA2]
+        surface[..., 1], surface[..., 2] = moments[lod.SLOPE_X], moments[lod.SLOPE_Y]
         # Slope variance: 0 at level 0.
-        varies = np.square(moments[SLOPE_X]) + np.square(moments[SLOPE_Y])
-        surface[..., 3] = np.maximum(moments[SQUARES] - varies, 0.0)
-        parts += [albedo, surface.tobytes(), moments[HEIGHT].astype("<f4").tobytes(), metal]
+        varies = np.square(moments[lod.SLOPE_X]) + np.square(moments[lod.SLOPE_Y])
+        surface[..., 3] = np.maximum(moments[lod.SQUARES] - varies, 0.0)
+        parts += [albedo, surface.tobytes(), moments[lod.HEIGHT].astype("<f4").tobytes(), metal]
     return Page(b"".join(parts), texel_size, ends, channels)
 
 
-def _halves(planes: Planes) -> bytes:
+def _halves(planes: lod.Planes) -> bytes:
     """Bytes of planes as half floats, channels last; empty for no planes."""
     return np.ascontiguousarray(planes.transpose(1, 2, 0)).astype("<f2").tobytes()
 
@@ -197,8 +190,6 @@ def reference_photograph(
     Raises:
         MatcapError: the photograph cannot be read.
     """
-    from matcap.photo.photo import ToneCurve
-
     folder = path if path.is_dir() else path.parent
     report = read_document(folder / "report.json", "matcap report") or {}
     file = photo or find_photograph(path, name) or reported_photograph(report)
@@ -237,15 +228,10 @@ def browser_picture(
     Raises:
         MatcapError: the file is not a photograph that matcap reads.
     """
-    from matcap.photo.load import load_photo
-    from matcap.photo.photo import standing
-
     photo = load_photo(file, long_side=_LONG_SIDE, noise=False)
     photo = photo if tone is None else photo.linearised(tone)
     linear = photo.pixels
     if setup is not None:
-        from matcap.flash.rectify import picture_of, rectify
-
         linear = picture_of(rectify(photo, setup, linear.shape[1])[0])
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:

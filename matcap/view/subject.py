@@ -5,26 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from matcap.brdf.folder import read_mapset
+from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.example.example import Example
+from matcap.export.job import known_scale
+from matcap.field.material import Material
 from matcap.field.options import AS_IT_IS, ReadOptions
-from matcap.field.plane import Rectangle
-
-if TYPE_CHECKING:
-    from matcap.brdf.maps import MapSet
-    from matcap.field.material import Material
-    from matcap.view.level_of_detail import (
-        ExampleLevels,
-        ExemplarAverages,
-        NetworkLevels,
-        Planes,
-        Pyramid,
-    )
-
+from matcap.field.plane import Rectangle, check_seed
+from matcap.space.between import blend, check_blendable
+from matcap.view import level_of_detail as lod
+from matcap.view.level_of_detail import ExampleLevels, ExemplarAverages, NetworkLevels, Planes
 
 _FIELDS = 8  # fields cached, by seed and share; and blends, by share
 
@@ -51,29 +45,6 @@ class ViewFacts:
     """Length of a plane unit; 0 if unknown."""
 
 
-class Viewable(Protocol):
-    """A subject of the page."""
-
-    @property
-    def facts(self) -> ViewFacts:
-        """Description for the page."""
-
-    def moments(
-        self, level: int, area: Rectangle, *, seed: int, share: float
-    ) -> tuple[Planes, float]:
-        """(9 or 11, height, width) moments of an area (level_of_detail.py), and the texel size.
-
-        Args:
-            level: texels are 2^level texels of the material wide.
-            area: in texels of the level.
-            seed: of the realisation; 0 for a map set.
-            share: of the second material, in [0, 1].
-
-        Raises:
-            UsageError: a seed or share out of range.
-        """
-
-
 class Materials:
     """A material, or two and their blends.
 
@@ -96,8 +67,6 @@ class Materials:
     @property
     def facts(self) -> ViewFacts:
         """Description for the page."""
-        from matcap.export.job import known_scale
-
         second = self.second.name if self.second else ""
         return ViewFacts(
             self.first.name, second, self.first.texel_size, None, self.seed, self._mean,
@@ -114,8 +83,6 @@ class Materials:
 
     def _blend(self, share: float) -> Material:
         if self.second is not None:
-            from matcap.space.between import blend
-
             return blend(self.first, self.second, share)
         if share != 0.0:
             raise UsageError(
@@ -125,25 +92,30 @@ class Materials:
 
     @cached_property
     def _mean(self) -> tuple[float, ...]:
-        from matcap.view.level_of_detail import NetworkLevels, edged, mean_of, moments_of
-
         example = self.first.part(Example)
         if example is None:
-            return mean_of(NetworkLevels.of(self.first, self.seed).mean)
+            return lod.mean_of(NetworkLevels.of(self.first, self.seed).mean)
         exemplar = example.exemplar
-        return mean_of(moments_of(edged(exemplar.stacked()), exemplar.texel_size))
+        return lod.mean_of(lod.moments_of(lod.edged(exemplar.stacked()), exemplar.texel_size))
 
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float
     ) -> tuple[Planes, float]:
-        """Moments of an area, and the texel size (Viewable.moments)."""
+        """(9 or 11, height, width) moments of an area (level_of_detail.py), and the texel size.
+
+        Args:
+            level: texels are 2^level texels of the material wide.
+            area: in texels of the level.
+            seed: of the realisation.
+            share: of the second material, in [0, 1].
+
+        Raises:
+            UsageError: a seed or share out of range.
+        """
         field = self._field(seed, share)
         return field.read(level, area), field.texel_size
 
     def _open(self, seed: int, share: float) -> ExampleLevels | NetworkLevels:
-        from matcap.field.plane import check_seed
-        from matcap.view.level_of_detail import ExampleLevels, NetworkLevels
-
         check_seed(seed)
         material = self.at(share)
         example = material.part(Example)
@@ -153,8 +125,6 @@ class Materials:
 
     def _averages_at(self, share: float) -> ExemplarAverages:
         """Averages of the exemplar at a share, shared by all seeds."""
-        from matcap.view.level_of_detail import ExemplarAverages
-
         example = self.at(share).part(Example)
         assert example is not None
         return ExemplarAverages(example.exemplar)
@@ -172,27 +142,26 @@ class Maps:
     @property
     def facts(self) -> ViewFacts:
         """Description for the page."""
-        from matcap.view.level_of_detail import mean_of
-
         whole = Rectangle(0, 0, *self.maps.size)
-        mean = mean_of(self._pyramid.read(0, whole))
+        mean = lod.mean_of(self._pyramid.read(0, whole))
         return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0, mean)
 
     def moments(
         self, level: int, area: Rectangle, *, seed: int, share: float
     ) -> tuple[Planes, float]:
-        """Moments of an area, and the texel size (Viewable.moments)."""
+        """Moments of an area, and the texel size, as those of Materials; seed and share are 0."""
         if seed != 0 or share != 0.0:
             raise UsageError("a map set has no other seed and no blend", remedy="view a material")
         return self._pyramid.read(level, area), self.maps.texel_size
 
     @cached_property
-    def _pyramid(self) -> Pyramid:
-        from matcap.view.level_of_detail import RING, Pyramid, moments_of
-
-        around = ((0, 0), (RING, RING), (RING, RING))
+    def _pyramid(self) -> lod.Pyramid:
+        around = ((0, 0), (lod.RING, lod.RING), (lod.RING, lod.RING))
         wrapped = np.pad(self.maps.stacked().numpy(), around, mode="wrap")
-        return Pyramid(moments_of(wrapped, self.maps.texel_size))
+        return lod.Pyramid(lod.moments_of(wrapped, self.maps.texel_size))
+
+
+Viewable = Materials | Maps
 
 
 def open_subject(
@@ -213,20 +182,14 @@ def open_subject(
             be blended.
         UsageError: a second material, seed or variety with a map set.
     """
-    from matcap.field.material import Material
-
     file = _material_in(path)
     if file is not None:
         first = Material.load(file).by(read.generator).varied(read.variety)
         if second is None:
             return Materials(first, None, seed)
-        from matcap.space.between import check_blendable
-
         other = Material.load(second)
         check_blendable(first, other)
         return Materials(first, other, seed)
-    from matcap.brdf.folder import read_mapset
-
     maps, document = read_mapset(path)
     if second is not None:
         raise UsageError.at(path, "a map set cannot be blended", "give the .matcap file")

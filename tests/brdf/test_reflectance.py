@@ -26,15 +26,7 @@ from matcap.brdf.cook_torrance import (
     specular_lobe,
 )
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
-from matcap.brdf.maps import (
-    DIFFUSE,
-    HEIGHT,
-    ROUGHNESS,
-    SPECULAR,
-    SURFACE,
-    MapSet,
-    normals_from_height,
-)
+from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet, normals_from_height
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup, plane_points, project, unproject
 from matcap.flash.light import render_flash, render_rectified
@@ -208,7 +200,6 @@ def test_stacking_keeps_every_map_in_its_place(channels):
     stacked = maps.stacked()
     places = {"diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS, "height": HEIGHT}
     assert all(torch.equal(stacked[place], getattr(maps, n)) for n, place in places.items())
-    assert torch.equal(stacked[SURFACE], torch.cat([*(stacked[p] for p in places.values())][:3]))
     back = SurfaceParameters.from_stacked(SurfaceParameters.of(maps).stacked()).maps(
         maps.texel_size
     )

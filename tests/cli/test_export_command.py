@@ -81,7 +81,11 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
     ("arguments", "code", "said"),
     [
         ([], 2, "--to: there is no target; choose from materialx, usd, gltf, "),
-        (["--to", "usd", "--unit", "nan"], 2, "'nan' is not from 1e-06 to 1e+09"),
+        (
+            ["--to", "usd", "--unit", "nan"],
+            2,
+            "--unit: nan is out of range; give between 1e-06 and 1e+09.",
+        ),
         (["--to", "usd", "--seed", "9" * 25], 2, "is out of range"),
         (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),

@@ -242,7 +242,7 @@ class TestForms:
         job = ExportJob(metals()[name], "m")
         make = {**DOCUMENTS, "unity-hdrp": preset_forms("unity-hdrp")}[target]["metallic"]
         chosen = residuals(job, make(job).surfaces)["metallic"]
-        monkeypatch.setattr("matcap.export.presets.FORMS", ("plain",))
+        monkeypatch.setattr("matcap.export.workflows.FORMS", ("plain",))
         assert chosen.mean < residuals(job, make(job).surfaces)["metallic"].mean
 
 

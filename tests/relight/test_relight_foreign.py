@@ -1,6 +1,5 @@
 """Map sets of other programs."""
 
-import json
 from dataclasses import replace
 
 import cv2
@@ -490,25 +489,6 @@ def test_textures_inside_of_a_glb_are_refused(tmp_path):
     write_export(ExportJob(MAPS, "leather"), "gltf", tmp_path)
     with pytest.raises(MatcapError, match="inside its .glb"):
         read_foreign(tmp_path)
-
-
-def test_tiles_of_a_texture_set_are_joined(tmp_path):
-    """Two by two of them, numbered from the left bottom on."""
-    grid = np.array([[1011, 1012], [1001, 1002]])
-    name = "w_diffuse.<UDIM>.png"
-    for number in grid.flat:
-        picture = np.full((4, 6, 3), number - 1000, np.uint8)
-        cv2.imwrite(str(tmp_path / name.replace("<UDIM>", str(number))), picture)
-    sidecar = {
-        "format": "matcap export", "version": 2, "target": "raw", "unit": "plane unit",
-        "texel": 0.5, "udim": [2, 2], "periodic": False,
-        "files": {name: {"meaning": "diffuse albedo", "colour_space": "linear"}},
-    }  # fmt: skip
-    (tmp_path / "w_raw.json").write_text(json.dumps(sidecar))
-    found = read_foreign(tmp_path).texture
-    expected = np.kron(grid - 1000, np.ones((4, 6))) / 255.0
-    np.testing.assert_allclose(found.diffuse[0], expected, atol=1e-6)
-    assert not found.periodic and found.texel_size == 0.5
 
 
 # Kinds of maps that other programs write beside these.

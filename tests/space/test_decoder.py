@@ -364,7 +364,7 @@ def test_the_shipped_prior_loads_and_draws():
     assert SHIPPED.stat().st_size < 30e6
     prior = load_prior()
     assert SHIPPED.with_suffix(".md").is_file()
-    assert prior.anchors is not None and len(prior.anchors) == 346
+    assert len(prior.anchors) == 346
     maps = prior.draw(0).maps(32, 32).stacked()
     assert bool(torch.isfinite(maps).all())
     mean = torch.tensor(prior.about["code_mean"])

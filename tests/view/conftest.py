@@ -44,13 +44,8 @@ def serving(subject, beside=None):
 
     listening = listen(0)
     address = new_address(listening.getsockname()[1])
-    opened = []
-
-    def pages_of(one):
-        opened.append(Pages(one, workers=2))
-        return opened[-1]
-
-    app = make_app(subject, address, pages_of, beside)
+    pages = Pages(subject, workers=2)
+    app = make_app(pages, address, beside)
     server = uvicorn.Server(uvicorn.Config(app, log_level="error", lifespan="off"))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()
@@ -59,8 +54,7 @@ def serving(subject, beside=None):
     finally:
         server.should_exit = True
         thread.join(10)
-        for pages in opened:
-            pages.close()
+        pages.close()
         listening.close()
 
 

@@ -82,7 +82,7 @@ def test_the_header_says_how_many_channels(channels, size):
     subject = Maps(replace(maps, specular=maps.specular[:channels]), "copper")
     pages = Pages(subject, workers=1)
     client = testclient.TestClient(
-        server.make_app(subject, ADDRESS, lambda _: pages), base_url="http://127.0.0.1:8123"
+        server.make_app(pages, ADDRESS), base_url="http://127.0.0.1:8123"
     )
     answer = client.get(f"/{ADDRESS.token}/page", params={"level": 1, "column": 0, "row": 0})
     pages.close()

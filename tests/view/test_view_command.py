@@ -19,7 +19,6 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import sealed_page
 from matcap.view.pages import find_photograph, reported_photograph
-from matcap.view.server import HOST
 from matcap.view.subject import Maps, Materials, open_subject
 
 
@@ -135,7 +134,7 @@ def test_what_is_out_of_range_is_a_usage_error(folder, capsys, asked):
 def test_a_port_in_use_is_reported(folder, capsys):
     pytest.importorskip("uvicorn", reason="the extra 'view' is not installed")
     with socket.socket() as taken:
-        taken.bind((HOST, 0))
+        taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
         assert main(["view", str(folder), "--no-open", "--port", str(port)]) == 3
@@ -143,7 +142,7 @@ def test_a_port_in_use_is_reported(folder, capsys):
 
 
 def test_a_missing_extra_names_its_install_command(folder, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    monkeypatch.setitem(sys.modules, "matcap.view.server", None)
     assert main(["view", str(folder), "--no-open"]) == 3
     assert 'pip install "matcap[view]"' in capsys.readouterr().err
 

@@ -45,8 +45,8 @@ def pages(subject):
 
 
 @pytest.fixture(scope="module")
-def client(subject, pages):
-    app = server.make_app(subject, ADDRESS, lambda _: pages, PHOTO)
+def client(pages):
+    app = server.make_app(pages, ADDRESS, PHOTO)
     return testclient.TestClient(app, base_url=BASE)
 
 

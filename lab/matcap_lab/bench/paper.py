@@ -36,7 +36,6 @@ from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
 from matcap.field.field import computes_bfloat16
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
-from matcap.files.color import srgb_encode_tensor
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
 from matcap.space.between import blend
@@ -57,6 +56,7 @@ from matcap_lab.measures.style import (
     diversity,
     joined,
     mean_pairwise,
+    srgb_encode_tensor,
     style_distances,
     xyz_difference,
 )

@@ -27,14 +27,7 @@ from matcap.example.exemplar import Exemplar
 from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle
 from matcap.files.process import keep_memory
-from matcap.space.decoder import (
-    CODE_SIZE,
-    DEPTH,
-    PAPER_CONFIG,
-    ConvolutionLayer,
-    Decoder,
-    DecoderConfig,
-)
+from matcap.space.decoder import CODE_SIZE, DEPTH, ConvolutionLayer, Decoder, DecoderConfig
 from matcap.space.freeze import freeze
 from matcap.space.random_field import WAVE_CHANNELS, Patch, noise_field
 from matcap.space.tuned import TunedDecoder
@@ -47,6 +40,8 @@ ABOUT = (
     "ratio: of these, also in processor time, which other programs disturb less. By example: "
     "processor seconds per megatexel. Megabytes: peak memory of the process."
 )
+# The paper's configuration at width 32; 2.2 million parameters.
+PAPER_CONFIG = DecoderConfig(noise_channels=6, widths=(32, 64, 128, 128, 128), convolutions=(2, 2))
 NETWORKS = {"shipped": DecoderConfig(), "paper": PAPER_CONFIG}
 BLOCKS = ("256x256", "512x256", "512x512", "1024x256", "1024x1024")
 BY_NETWORK, BY_EXAMPLE = "by network", "by example"

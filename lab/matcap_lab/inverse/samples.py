@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
-from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, SURFACE, MapSet, integrate_periodic
+from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, MapSet, integrate_periodic
 from matcap.capture.exemplar.network.network import network_inputs
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
@@ -337,7 +337,7 @@ def _window(packed: PackedSet, rng: np.random.Generator, width: int, height: int
     level = min(int(math.log2(1.0 / scale)), LEVELS - 1) if scale < 1.0 else 0
     piece = cut(packed, level, scale * 2**level, rng, width, height)
     metal, maps = piece[_METAL], piece[_MAPS]
-    maps[SURFACE] = coloured(maps[SURFACE], metal, rng)
+    maps[:-1] = coloured(maps[:-1], metal, rng)
     # A stream of its own: the other draws do not depend on it.
     maps[SPECULAR] = coloured_metal(maps[SPECULAR], metal, rng.spawn(1)[0])
     slopes = float(np.square(np.diff(piece[HEIGHT], axis=-2)).mean() * 2.0) ** 0.5
@@ -381,7 +381,7 @@ def cut(
     piece = np.stack(warped).astype(np.float32)
     piece[HEIGHT] *= scale
     maps = piece[_MAPS]
-    np.clip(maps[SURFACE], 1e-3, 1.0, out=maps[SURFACE])
+    np.clip(maps[:-1], 1e-3, 1.0, out=maps[:-1])
     np.clip(piece[_METAL], 0.0, 1.0, out=piece[_METAL])
     return piece
 

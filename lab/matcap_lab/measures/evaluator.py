@@ -22,11 +22,11 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.capture.verdict.causes import FAR, NEAR
 from matcap.errors import MatcapError
-from matcap.files.color import LUMINANCE, srgb_encode_tensor
+from matcap.files.color import LUMINANCE
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import shade
 from matcap_lab.measures.nsd import WEIGHTS, SqueezeNet, SqueezeNetStyle, StyleRatio
-from matcap_lab.measures.style import Style
+from matcap_lab.measures.style import Style, srgb_encode_tensor
 from matcap_lab.simulate.photograph import PhoneCamera, in_strips
 from matcap_lab.simulate.specimen import Specimen
 

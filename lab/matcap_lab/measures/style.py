@@ -45,6 +45,12 @@ class Group:
 StyleStatistics = dict[str, Group]
 
 
+def srgb_encode_tensor(light: Tensor) -> Tensor:
+    """files.color.srgb_encode for PyTorch; its gradient is finite everywhere."""
+    power = 1.055 * light.clamp_min(0.0031308).pow(1.0 / 2.4) - 0.055
+    return (12.92 * light).where(light <= 0.0031308, power)
+
+
 class Style(Protocol):
     """Texture statistics: sRGB pictures (B, 3, H, W) in [0, 1] to groups."""
 

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.maps import HEIGHT, SURFACE, MapSet, integrate_periodic
+from matcap.brdf.maps import HEIGHT, MapSet, integrate_periodic
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.relight.foreign.names import assigned
@@ -220,7 +220,7 @@ class MapSetMaterial:
         x = seed * _PLASTIC[0] * columns + _from_middle(width) * step - 0.5
         y = seed * _PLASTIC[1] * rows + _from_middle(height) * step - 0.5
         planes = _sampled(_sampled(tile, y, 1), x, 2).astype(np.float64)
-        planes[SURFACE] = planes[SURFACE].clip(0.0, 1.0)
+        planes[:-1] = planes[:-1].clip(0.0, 1.0)
         planes[HEIGHT] *= self.texel_size
         return MapSet.from_stacked(torch.from_numpy(planes), texel_size)
 

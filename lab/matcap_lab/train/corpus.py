@@ -23,7 +23,7 @@ from torch import Tensor
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.field.material import Material
-from matcap.files.color import srgb_decode, srgb_encode, srgb_encode_tensor
+from matcap.files.color import srgb_decode, srgb_encode
 from matcap.files.output import Output
 from matcap.files.tensors import write_tensors
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse
@@ -34,6 +34,7 @@ from matcap.photo.exif import phone_fov
 from matcap.photo.photo import Photo
 from matcap.space.tuning.match import log_contrast
 from matcap.statistics.lattice import Wave, find_lattice
+from matcap_lab.measures.style import srgb_encode_tensor
 from matcap_lab.simulate.kinds import RandomKind, random_kind
 from matcap_lab.simulate.photograph import PhoneCamera, expose, take
 from matcap_lab.simulate.varied import RandomMaterial, random_material

@@ -22,7 +22,6 @@ import torch
 from torch import Tensor, zeros
 
 from matcap.brdf.maps import MapSet
-from matcap.files.color import srgb_encode_tensor
 from matcap.files.pixels import write_png
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
@@ -47,6 +46,7 @@ from matcap_lab.measures.style import (
     describe_pictures,
     diversity,
     joined,
+    srgb_encode_tensor,
     style_distances,
     variety,
     xyz_difference,

@@ -133,8 +133,8 @@ def finish(
         encoder,
         decoder,
         model,
-        {**about, **measured},
         anchors_known(codes, model, entries),
+        {**about, **measured},
     )
 
 

@@ -12,7 +12,7 @@ from matcap.brdf.cook_torrance import METAL_F0
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.space.decoder import PAPER_CONFIG, Decoder
+from matcap.space.decoder import Decoder
 from matcap.space.random_field import Patch, noise_field
 from matcap.space.tuned import TunedDecoder
 from matcap_lab.bench import fields, floors, reflectance, synth
@@ -44,7 +44,7 @@ from matcap_lab.bench.relight import (
     plan_experiment,
     tolerance_experiment,
 )
-from matcap_lab.bench.synth import SynthSettings, paper_form, synth_experiment
+from matcap_lab.bench.synth import PAPER_CONFIG, SynthSettings, paper_form, synth_experiment
 from matcap_lab.cli.main import main
 from matcap_lab.experiment.page import section
 from matcap_lab.experiment.results import read

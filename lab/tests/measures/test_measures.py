@@ -12,6 +12,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
+from matcap.files.color import srgb_encode
 from matcap.flash.geometry import FlashSetup, camera_in_plane
 from matcap_lab.measures.evaluator import (
     BenchScene,
@@ -31,6 +32,7 @@ from matcap_lab.measures.style import (
     describe_pictures,
     difference,
     diversity,
+    srgb_encode_tensor,
     style_distances,
     variety,
     xyz_difference,
@@ -374,3 +376,9 @@ def test_rings_are_an_imprint_and_noise_is_none() -> None:
     assert abs(imprint(noise, (0.2, 0.0))) < 0.15
     assert abs(imprint(torch.sin(0.5 * u), (0.2, 0.0))) < 0.25  # a material's own direction
     assert imprint(torch.zeros(128, 192), (0.2, 0.0)) == 0.0
+
+
+def test_srgb_of_tensors_is_the_products_with_a_gradient_on_both_sides_of_the_knee():
+    values = torch.tensor([-0.2, 0.0, 1e-3, 0.02, 0.06, 0.5, 2.0], dtype=torch.float64)
+    np.testing.assert_allclose(srgb_encode_tensor(values).numpy(), srgb_encode(values.numpy()))
+    assert torch.autograd.gradcheck(srgb_encode_tensor, values.requires_grad_())

@@ -28,21 +28,6 @@ def lifted(about):
     return code["scale"] * METRES[code["unit"]]
 
 
-def picture(path, udim):
-    """The texture, or all tiles of a texture set."""
-    first = Path(str(path).replace("<UDIM>", "1001"))
-    image = bpy.data.images.load(str(first), check_existing=True)
-    if udim:
-        columns, rows = udim
-        image.source = "TILED"
-        for row in range(rows):
-            for column in range(columns):
-                if row or column:
-                    image.tiles.new(1001 + column + 10 * row)
-        image.filepath = str(path)
-    return image
-
-
 def build(folder, sidecar):
     """The material of a sidecar NAME_blender.json in a folder."""
     about = json.loads((Path(folder) / sidecar).read_text())
@@ -62,7 +47,7 @@ def build(folder, sidecar):
 
     def texture(kind, y, space):
         made = node("ShaderNodeTexImage", -900, y)
-        made.image = picture(Path(folder) / files[kind], about["udim"])
+        made.image = bpy.data.images.load(str(Path(folder) / files[kind]), check_existing=True)
         made.image.colorspace_settings.name = space
         made.label = kind
         return made.outputs["Color"]
@@ -113,9 +98,6 @@ def plane(material, sidecar):
     for vertex in made.data.vertices:
         vertex.co.x *= width
         vertex.co.y *= height
-    for corner in made.data.uv_layers.active.data:
-        corner.uv.x *= (about["udim"] or (1, 1))[0]
-        corner.uv.y *= (about["udim"] or (1, 1))[1]
     made.data.materials.append(material)
     return made
 

@@ -28,9 +28,7 @@ def load(about):
     textures = {}
     for kind, file in about["textures"].items():
         task = unreal.AssetImportTask()
-        # Of a texture set the first tile is named: Unreal finds the others beside it.
-        path = str(HERE / file).replace("<UDIM>", "1001")
-        task.filename, task.destination_path = path, folder
+        task.filename, task.destination_path = str(HERE / file), folder
         task.automated = task.replace_existing = task.save = True
         unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
         texture = unreal.load_asset(task.imported_object_paths[0])

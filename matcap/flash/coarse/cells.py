@@ -26,7 +26,6 @@ from matcap.photo.photo import FULL, Photo
 #
 # log L = log(a E / pi + specular(F0, r) E) - vignetting.
 
-
 _DARKEST = 1e-12  # radiance added before logarithms
 BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
@@ -137,7 +136,6 @@ def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor
 #
 # The highlight, which may be smaller than a cell of the whole picture, is seen by a patch of cells
 # of its own scale.
-
 
 _PATCH_REACH = 2.0  # half side of the patch, in half widths of the highlight
 _PATCH_WEIGHT = 0.5  # least weight of the patch; that of the whole picture is 1

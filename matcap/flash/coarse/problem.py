@@ -30,7 +30,6 @@ from matcap.photo.photo import Development, Photo
 # One wide prior of F0 cannot replace them: it makes black lacquer metal, and metal a matte surface
 # under a narrow flash. Values: docs/notes/gloss.md.
 
-
 # Prior standard deviation of the tilt of a RAW, radians; larger than that of developed pictures,
 # whose tone curve looks like tilt.
 _TILT_RADIOMETRIC = 0.1
@@ -121,12 +120,11 @@ def priors(
 #
 # With the residuals r_i in log radiance of cells, of the highlight (HighlightMeasurements) and of
 # the diffuse share by ring (flash/diffuse_share.py), their weights w_i, the parameters x and the
-# prior's mean m and precision P (problem.py),
+# prior's mean m and precision P,
 #
 # cost = sum_i w_i huber(r_i) + (x - m)^T P (x - m) / 2.
 #
 # Minimised by Levenberg-Marquardt steps, with weights of the Huber loss renewed at each.
-
 
 HUBER = 0.1  # threshold of the Huber loss, log radiance
 # Number of residuals per nat of the prior in a RAW, chosen empirically; about the number of cells,

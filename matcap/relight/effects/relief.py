@@ -25,7 +25,6 @@ from matcap.relight.relief import COARSENESS, Relief
 #
 # Left out: the undisplaced surface. Cost: four texels a step, two steps a texel of displacement.
 
-
 # Half side, in texels, of the maximum filter that lets rays skip empty space.
 _AROUND = 10
 # Smallest z of a ray's unit vector; least and largest number of steps, and steps a texel.
@@ -160,7 +159,6 @@ def visibility_bound(limits: SceneBounds) -> Bound:
 # is clamped to 0. The texel reflects diffusely.
 #
 # Left out: no bounce. Cost: about 8000 operations a texel, once; a lookup of nine numbers a pixel.
-
 
 # Radiance that stands for a tolerance of 0, in a denominator.
 _TINY: Any = np.float32(1e-30)

@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 from matcap.brdf.stated import SCALE
 from matcap.errors import MatcapError
-from matcap.files.names import name_fault, note, tile_names
-from matcap.files.settings import bounded, whole
+from matcap.files.names import name_fault, note
+from matcap.files.settings import bounded
 
 # Recognise the map of each file of a set by its name.
 #
@@ -30,7 +30,6 @@ from matcap.files.settings import bounded, whole
 # end with are dropped: the material's name, the resolution. Of the rest the last word that names a
 # map decides; several in a row are a packed map (_channels). The vocabulary is that of the sources
 # above, of Blender's Node Wrangler, and of Quixel, Substance, Textures.com and 3DTextures.
-
 
 # Formats that are read; of two files of one map, the one with the earlier suffix.
 READ_SUFFIXES = (
@@ -181,8 +180,6 @@ class SetFiles:
     """(scale, midlevel): height in plane units = (value - midlevel) scale."""
     conserving: bool = False
     """Diffuse albedo is base (1 - F0)."""
-    grid: tuple[int, int] | None = None
-    """(columns, rows) of UDIM tiles; None for plain files."""
     periodic: bool = True
     """Whether the maps tile seamlessly."""
 
@@ -539,17 +536,13 @@ def _stated(folder: Path, about: Mapping[str, Any]) -> SetFiles:
     texel = bounded(about["texel"], "'texel'", 1e-9, 1e9) / unit
     target = str(about["target"]).removesuffix("-specular")  # the specular workflow of an engine
     conserving = target in _CONSERVING and "specular" in files
-    grid = about["udim"]
-    if grid is not None:
-        columns, rows = grid
-        grid = whole(columns, "'udim'", 1, 10), whole(rows, "'udim'", 1, 900)
     periodic = about["periodic"] is True
-    return SetFiles(files, tuple(left_out), texel, height, conserving, grid, periodic)
+    return SetFiles(files, tuple(left_out), texel, height, conserving, periodic)
 
 
 def _stated_file(folder: Path, name: str, entry: Mapping[str, str]) -> NamedFile:
     meaning = entry["meaning"]
-    wrong = name_fault(tile_names(name, None)[0])
+    wrong = name_fault(name)
     if wrong:
         raise ValueError(f"the file {name!r} {wrong}")
     fits = [

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from matcap.brdf.edited import check_heights
 from matcap.brdf.maps import integrate_periodic
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
-from matcap.files.names import TOKEN, tile_names
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
 from matcap.relight.camera import Array
 from matcap.relight.foreign.names import (
@@ -176,11 +176,11 @@ def _constant(plane: Array) -> bool:
 
 # Map sets of other programs as a texture to relight.
 #
-# - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic. -
-# Specular workflow (specular and gloss without metallic): the specular map is F0. - Height maps
-# have no unit: they are scaled to fit the normal map's slopes by least squares. Without a height
-# map the normal map is integrated (brdf/maps.py). - A set is two plane units wide, unless it
-# is matcap's export, whose sidecar states the size.
+# - Metallic workflow: diffuse = base (1 - metallic), F0 = 0.04 (1 - metallic) + base metallic.
+# - Specular workflow (specular and gloss without metallic): the specular map is F0.
+# - Height maps have no unit: they are scaled to fit the normal map's slopes by least squares.
+#   Without a height map the normal map is integrated (brdf/maps.py).
+# - A set is two plane units wide, unless it is matcap's export, whose sidecar states the size.
 
 _LEVEL = 0.08  # F0 of specular level 1 [burley2012]
 # Height range over width, assumed without a normal map.
@@ -307,7 +307,8 @@ class ForeignMaps:
     def _pixels(self, kind: str) -> Pixels:
         path = self.files[kind].path
         if path not in self._opened:
-            pixels = _read(path, self.about.grid, _wanted(self.files[kind].channels))
+            words = (word for one in self.files[kind].channels for word in words_of(one))
+            pixels = read_pixels(path, wanted=tuple(words))
             self.notes += [f"{path.name}: {note}" for note in pixels.notes]
             self._opened[path] = pixels
         return self._opened[path]
@@ -478,8 +479,6 @@ class ForeignMaps:
         Raises:
             MatcapError: another aspect ratio.
         """
-        import cv2
-
         size, (height, width) = self.size, values.shape[1:]
         if (width, height) == size:
             return np.ascontiguousarray(values, dtype=np.float32)
@@ -493,26 +492,6 @@ class ForeignMaps:
         way = cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR
         resized = [cv2.resize(one, size, interpolation=way) for one in values.astype(np.float32)]
         return np.stack(resized)
-
-
-def _wanted(channels: Mapping[str, str]) -> tuple[str, ...]:
-    """Words of the maps that a file should hold, for its layers."""
-    return tuple(word for kind in channels for word in words_of(kind))
-
-
-def _read(path: Path, grid: tuple[int, int] | None, wanted: tuple[str, ...]) -> Pixels:
-    """Read a picture, or all UDIM tiles of one, joined."""
-    if grid is None or TOKEN not in path.name:
-        return read_pixels(path, wanted=wanted)
-    columns, _ = grid
-    parts = [read_pixels(path.with_name(name)) for name in tile_names(path.name, grid)]
-    lines = [parts[start : start + columns] for start in range(0, len(parts), columns)]
-    first = lines[-1][0]
-    if any(one.stored.shape != first.stored.shape for one in parts):
-        raise MatcapError.at(path, "its tiles differ in size", "export the material again")
-    rows = [np.concatenate([one.stored for one in line], axis=1) for line in lines]
-    whole = np.concatenate(rows[::-1])
-    return replace(first, stored=whole)
 
 
 def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELECTRIC) -> Array:

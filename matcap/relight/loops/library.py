@@ -15,7 +15,6 @@ from matcap.relight.camera import Array, lattice
 
 # Loads the compiled loops, and passes arrays to them.
 
-
 # As in loops.h.
 _FORM = 3
 LANES, CHANNELS, AZIMUTHS = 8, 9, 16

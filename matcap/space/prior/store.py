@@ -42,7 +42,6 @@ from matcap.statistics.lattice import Wave, find_lattice
 # The network then learns differences from the coarse fit only. Both fold exactly into the decoder's
 # last AdaIN (`fold`), so that a material's decoder outputs raw values.
 
-
 VARYING = 8  # numbers of a base that differ between materials: 5 means, 3 colour deviations
 
 _CONTRASTS = (0.02, 1.5)  # limits of the deviation of log colour
@@ -67,7 +66,7 @@ class Base:
 
 
 def base_of(coarse: CoarseFit, contrast: Tensor) -> Base:
-    """The base of a photograph; `contrast` is (3,) from tuning.start.log_contrast."""
+    """The base of a photograph; `contrast` is (3,) from log_contrast."""
     mean, deviation = head_start(coarse, contrast.float().clamp(*_CONTRASTS))
     return Base(mean, deviation * torch.tensor(_UNIT))
 
@@ -100,7 +99,6 @@ def fold(decoder: Decoder, base: Base) -> Decoder:
 
 
 # Contact sheet of materials.
-
 
 _COLUMNS = 4  # materials in a row
 _BRIGHTNESS = 0.25  # mean radiance of every tile
@@ -140,7 +138,7 @@ def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> N
 #
 # Latent vectors of the training photographs are standardised. But a few hundred points leave most
 # of 64 dimensions empty, and the decoder is untrained there. Materials are therefore drawn near
-# anchors. An anchor is a latent vector, a base (mean maps, see store.py) and a lattice. The base is
+# anchors. An anchor is a latent vector, a base (mean maps) and a lattice. The base is
 # modelled as
 #
 # base = A code + b + L rest,    rest ~ N(0, I).
@@ -189,7 +187,7 @@ class Anchor:
     """Lattice, in cycles per texel of a drawn material."""
 
     def near(self, spread: float, generator: torch.Generator) -> Anchor:
-        """Draw a position at distance t = spread, in [0, 1]; see the module's equation."""
+        """Draw a position at distance t = spread, in [0, 1]; equation above ConditionalMean."""
         drawn = torch.randn(CODE_SIZE + VARYING, generator=generator)
         kept = math.sqrt(1.0 - spread**2)
         here = kept * torch.cat([self.code, self.rest]) + spread * drawn
@@ -220,11 +218,6 @@ class Anchors:
         return self[index].near(spread, generator)
 
 
-def origin() -> Anchor:
-    """The origin of the prior's space, without a lattice."""
-    return Anchor(torch.zeros(CODE_SIZE), torch.zeros(VARYING), ())
-
-
 # Prior: the trained networks and the model of their space, and its file.
 #
 # One safetensors file: encoder and decoder in half precision, the conditional mean, anchors, and
@@ -232,9 +225,7 @@ def origin() -> Anchor:
 # error names the tensor. The alignment branch has a file of its own (flash/alignment.py), as
 # captures need it without the prior.
 
-
 FORMAT = "matcap-prior"
-# Version 2 added structured noise; version 3 moved the alignment branch to its own file.
 VERSIONS = (1, 2, 3)
 SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 # The prior's decoder, trained on to read drawings.
@@ -256,13 +247,13 @@ class Prior:
     encoder: Encoder
     """Photograph to latent vector."""
     decoder: Decoder
-    """Latent vector and noise to outputs relative to the base (store.py)."""
+    """Latent vector and noise to outputs relative to the base."""
     conditional_mean: ConditionalMean
     """Model of bases given latent vectors."""
+    anchors: Anchors
+    """Positions of the training photographs."""
     about: Mapping[str, Any] = field(default_factory=dict)
     """How it was trained; JSON."""
-    anchors: Anchors | None = None
-    """Anchors of the training photographs; None draws from the standard normal."""
     digest: str = ""
     """SHA-256 of its file."""
 
@@ -344,7 +335,7 @@ class Prior:
         Args:
             seed: a 64-bit integer.
             near: anchor to draw near; None is a random one of the prior's.
-            spread: distance t from the anchor, in [0, 1]; see store.py.
+            spread: distance t from the anchor, in [0, 1] (Anchor.near).
             name: of the material; the seed is appended.
 
         Raises:
@@ -355,10 +346,8 @@ class Prior:
         generator = torch.Generator().manual_seed(seed)
         if near is not None:
             anchor = near.near(spread, generator)
-        elif self.anchors is not None:
-            anchor = self.anchors.draw(spread, generator)
         else:
-            anchor = origin().near(1.0, generator)
+            anchor = self.anchors.draw(spread, generator)
         return self.material(f"{name}_{seed}", anchor, {"drawn": seed, "spread": spread})
 
     def material(self, name: str, anchor: Anchor, provenance: Mapping[str, Any]) -> Material:
@@ -382,14 +371,13 @@ class Prior:
         }
         for name, tensor in vars(self.conditional_mean).items():
             tensors[f"habits.{name}"] = tensor.float()
-        if self.anchors is not None:
-            tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
+        tensors |= {f"anchors.{name}": tensor for name, tensor in vars(self.anchors).items()}
         about = {
             "format": FORMAT,
             "version": VERSIONS[-1],
             "encoder": {"backbone": _BACKBONE, "width": self.encoder.config.width},
             "decoder": config_document(self.decoder.config),
-            "anchors": 0 if self.anchors is None else len(self.anchors),
+            "anchors": len(self.anchors),
             "about": dict(self.about),
         }
         write_tensors(path, tensors, {"matcap": json.dumps(about)})
@@ -415,8 +403,8 @@ def load_prior(path: Path | None = None) -> Prior:
                 encoder=stored.load(encoder, "encoder."),
                 decoder=stored.load(decoder, "decoder."),
                 conditional_mean=ConditionalMean(**_tensors(stored, "habits", _MEAN_SHAPES)),
+                anchors=_anchors(stored, int(about["anchors"])),
                 about=about["about"],
-                anchors=_anchors(stored, int(about.get("anchors", 0))),
                 digest=hashlib.sha256(path.read_bytes()).hexdigest(),
             )
     except (SafetensorError, OSError) as error:
@@ -441,10 +429,7 @@ def load_drawing_start() -> Decoder:
         raise MatcapError.at(DRAWING_START, "missing, or damaged", _REMEDY) from error
 
 
-def _anchors(stored: StoredTensors, count: int) -> Anchors | None:
-    """Read the anchors; None if there are none, as in the first priors."""
-    if not count:
-        return None
+def _anchors(stored: StoredTensors, count: int) -> Anchors:
     if not 0 < count <= _MOST_ANCHORS:
         raise ValueError(f"{count} anchors")
     shapes = {"codes": (count, CODE_SIZE), "rests": (count, VARYING), "waves": (count, 2, 2)}

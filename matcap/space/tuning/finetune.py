@@ -52,7 +52,6 @@ from matcap.space.tuning.windows import PhotographTarget, compare_windows, rende
 
 # Schedule of fine-tuning: end, freezing and learning rate.
 
-
 # Settings of every optimisation run; docs/notes/prior.md.
 WARM_UP = 10  # steps of linear warm-up of the learning rate
 _FLOOR = 0.05  # final share of the learning rate
@@ -114,7 +113,6 @@ class Schedule:
 # where r and d are constants of the gradient, which therefore is AdaIN's and as stable; the values
 # are those of frozen statistics. At first r = 1 and d = 0; their limits widen with the steps.
 
-
 _NEWEST = 0.1  # weight of a window in the running moments
 _BEGIN, _END = 0.1, 0.4  # shares of fine-tuning between which limits widen
 _MOST_RATIO, _MOST_SHIFT = 2.0, 5.0  # final limits of r - 1 (or 1 / r - 1) and of |d|
@@ -155,7 +153,6 @@ class Renormalisation:
 
 
 # Regularisers of maps: penalties on structure that the photograph does not need.
-
 
 _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 
@@ -234,7 +231,6 @@ def _departure(maps: MapSet, expected: Tensor, weights: Penalties) -> Tensor:
 
 
 # Optimiser of fine-tuning: Adam with clipped gradients, without the steps that are not finite.
-
 
 _SMOOTHING = 0.05  # weight of the newest step in the running error
 # Factor on the rate of the weights that read a drawing, which start at zero.
@@ -321,11 +317,10 @@ class Adam:
 # photograph, and minimises the distance of the renderings' texture statistics to those of the
 # photograph at the same positions. Sensor noise is added to the renderings, so that the decoder
 # does not learn it. A decoder that reads a drawing is taught by the exemplar's maps, too
-# (match.py), and its AdaIN normalises by more than one window (finetune.py). The last steps
+# (match.py), and its AdaIN normalises by more than one window (Renormalisation). The last steps
 # use frozen AdaIN statistics, so that the saved network is the optimised one.
 #
-# It ends after a number of steps or a time (finetune.py), or by an interrupt.
-
+# It ends after a number of steps or a time (Schedule), or by an interrupt.
 
 # Learning rates. At a higher rate 100 steps lose colours that the prior has (docs/notes/prior.md).
 RATE_FROM_NOTHING, RATE_FROM_PRIOR, RATE_WITH_DRAWING = 2e-2, 2.5e-3, 5e-3

@@ -30,7 +30,6 @@ from matcap.statistics.compare import shading
 # depends on the direction to the flash. With more initial relief dark spots end as pits
 # (docs/notes/prior.md).
 
-
 # The head's first parameters; docs/notes/prior.md.
 _CONTRAST_GAIN = 1.2  # logits of diffuse albedo per log radiance: d log sigmoid(x) / dx is below 1
 _SPECULAR_CONTRAST = 0.1  # initial standard deviation of the logit of F0
@@ -111,7 +110,6 @@ def reading_cells(decoder: Decoder, seed: int) -> Decoder:
 # normal, of which every step takes two, S_k the mean squared slope in octave k. Without the last
 # term stains become slow relief, which a flash hardly tells from them. Figures in
 # docs/notes/prior.md.
-
 
 _LIT, _RELIEF = 3.0, 0.1  # weights of radiance and of slopes; docs/notes/prior.md
 _FLAT = 0.005  # root-mean-square slope of an octave that is added to both
@@ -205,7 +203,6 @@ def _logits(maps: MapSet) -> Tensor:
 # The contrast ratio is measured by the mean over blocks and by their median; the gain is the ratio
 # nearest to 1 between both. Scratches or clouds raise the mean only, and a global gain would not
 # reproduce them.
-
 
 # Matching; docs/notes/prior.md.
 _ROUNDS = 3  # iterations

@@ -32,7 +32,6 @@ from matcap.statistics.lattice import Wave
 # relief from albedo: the shading of a bump depends on the direction to the flash, a dark spot does
 # not.
 
-
 # Windows in which photograph and rendering are compared; docs/notes/prior.md.
 _HISS = 2e-3  # read noise, as a share of the clip level added to the radiance in shot noise
 _TOGETHER = 4  # windows described at a time, so that they fit the processor's caches

@@ -215,6 +215,6 @@ def test_a_photograph_is_encoded_to_a_place(known):
 def test_anchors_come_back_with_their_prior(known, tmp_path):
     known.save(tmp_path / "prior.safetensors")
     again = load_prior(tmp_path / "prior.safetensors")
-    assert again.anchors is not None and len(again.anchors) == 2
+    assert len(again.anchors) == 2
     assert torch.equal(again.anchors.codes, known.anchors.codes)
     assert again.anchors[0].waves == WOVEN and again.anchors[1].waves == ()
