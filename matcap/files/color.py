@@ -6,10 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
 
 # Rec.709 primaries and luminance, and conversion from other primaries (ITU-R BT.709-6).
 #
@@ -74,7 +78,7 @@ def _to_xyz(given: Matrix) -> Matrix:
 #
 # code = 12.92 light for light <= 0.0031308, else 1.055 light^(1/2.4) - 0.055. Light 0.5 is code
 # 0.735357, and code 0.5 is light 0.214041. Values below 0 and above 1 are extrapolated by the same
-# formulas. Derivatives are finite everywhere.
+# formulas. Derivatives are finite everywhere. For NumPy and PyTorch.
 
 CodeValues = TypeVar("CodeValues", NDArray[np.float64], NDArray[np.float32])
 
@@ -101,6 +105,12 @@ def srgb_picture(linear: NDArray[np.float32]) -> NDArray[np.float32]:
     return srgb_encode(clipped)
 
 
+def srgb_encode_tensor(light: Tensor) -> Tensor:
+    """srgb_encode for PyTorch; its gradient is finite everywhere."""
+    power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055
+    return (12.92 * light).where(light <= _KNEE_LIGHT, power)
+
+
 def srgb_slope(light: CodeValues) -> CodeValues:
     """Derivative of the code by light, any shape: 12.92 near black, 0.439583 at light 1."""
     power = np.maximum(light, _KNEE_LIGHT) ** light.dtype.type(1.0 / 2.4 - 1.0)
@@ -110,7 +120,9 @@ def srgb_slope(light: CodeValues) -> CodeValues:
 # Colour spaces of files: transfer functions and matrices from code values to linear Rec.709.
 #
 # A file states its colour space by an ICC profile (stated_color.py), by code points (ITU-T H.273:
-# nclx in HEIC) or by an exponent (gAMA in PNG). Each becomes a ColorSpace.
+# cICP in
+# PNG, nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
+# ColorSpace. The sRGB curve is in color.py, primaries are in color.py.
 #
 # Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2
 # for PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).

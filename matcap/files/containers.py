@@ -1,22 +1,32 @@
 """Kinds of picture files by their first bytes, refusals, and what image decoders do not return.
 
-Of JPEG the segments, of TIFF the picture that is meant.
+Of HEIC and AVIF (ISO/IEC 14496-12 and 23008-12) the colour space as code points, by the boxes meta,
+pitm, iprp, ipco and ipma; of JPEG the segments and coding modes; of TIFF the picture that is meant.
 """
 
 from __future__ import annotations
 
+import io
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
 
+if TYPE_CHECKING:
+    from PIL.JpegImagePlugin import JpegImageFile
+
 APPLE_GAIN_MAP = "urn:com:apple:photo:2020:aux:hdrgainmap"  # a HEIC's auxiliary picture
+_MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
 
 
 class FileKind(Enum):
@@ -158,19 +168,174 @@ def missing_extra(path: Path, form: str, extra: str) -> MatcapError:
     )
 
 
+# Properties of the primary picture of a HEIC or AVIF.
+
+
+@dataclass(frozen=True)
+class Properties:
+    """Properties of the primary picture."""
+
+    profile: bytes | None = None
+    """ICC profile, or None."""
+    code_points: tuple[int, int] | None = None
+    """(primaries, transfer) of ITU-T H.273 from nclx, or None."""
+    bits: int = 8
+    """Bits per channel (pixi), 8 if absent."""
+
+
+def primary_properties(path: Path) -> Properties:
+    """Read the properties of a file's primary picture.
+
+    Raises:
+        ValueError, struct.error, IndexError: the file is damaged.
+        OSError: the file cannot be read.
+    """
+    meta = _meta(path)[4:]  # a full box: version and flags first
+    boxes = dict(_boxes(meta))
+    primary = boxes[b"pitm"]
+    wide = primary[0] > 0
+    (item,) = struct.unpack_from(">I" if wide else ">H", primary, 4)
+    groups = list(_boxes(boxes[b"iprp"]))
+    shared = list(_boxes(dict(groups)[b"ipco"]))
+    properties = Properties()
+    for name, data in groups:
+        if name != b"ipma":
+            continue
+        for index in _of_item(data, item):
+            if 0 < index <= len(shared):
+                properties = _with(properties, *shared[index - 1])
+    return properties
+
+
+def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
+    if name == b"colr" and data[:4] == b"nclx":
+        return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
+    if name == b"colr" and data[:4] in (b"prof", b"rICC"):
+        return replace(properties, profile=data[4:])
+    if name == b"pixi" and len(data) > 5:
+        return replace(properties, bits=max(data[5 : 5 + data[4]]))
+    return properties
+
+
+def _meta(path: Path) -> bytes:
+    with path.open("rb") as file:
+        while len(head := file.read(8)) == 8:
+            size, name = struct.unpack(">I4s", head)
+            begun = 8
+            if size == 1:
+                (size,) = struct.unpack(">Q", file.read(8))
+                begun = 16
+            if name == b"meta" and begun <= size <= _MOST:
+                return file.read(size - begun)
+            if size < begun:
+                break
+            file.seek(size - begun, 1)
+    raise ValueError("no meta box")
+
+
+def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    at = 0
+    while at + 8 <= len(data):
+        size, name = struct.unpack_from(">I4s", data, at)
+        begun = 8
+        if size == 1:
+            (size,) = struct.unpack_from(">Q", data, at + 8)
+            begun = 16
+        elif size == 0:
+            size = len(data) - at
+        if size < begun:
+            raise ValueError("a box shorter than its head")
+        yield name, data[at + begun : at + size]
+        at += size
+
+
+def _of_item(data: bytes, item: int) -> Iterator[int]:
+    """Indices, from 1, of the properties of an item in an ipma box."""
+    version, wide = data[0], data[3] & 1
+    (count,) = struct.unpack_from(">I", data, 4)
+    at = 8
+    for _ in range(count):
+        (each,) = struct.unpack_from(">H" if version < 1 else ">I", data, at)
+        at += 2 if version < 1 else 4
+        links = data[at]
+        at += 1
+        for _ in range(links):
+            (index,) = struct.unpack_from(">H" if wide else ">B", data, at)
+            at += 2 if wide else 1
+            if each == item:
+                yield index & (0x7FFF if wide else 0x7F)
+
+
+# Detects JPEG coding modes that common decoders do not support (ITU-T T.81, table B.1).
+
+_FRAMES = (0xC0, 0xC1, 0xC2, 0xC9, 0xCA)
+_LOSSLESS_OR_HIERARCHICAL = (0xC3, 0xC5, 0xC6, 0xC7, 0xCB, 0xCD, 0xCE, 0xCF)
+
+
+def unsupported_jpeg(path: Path) -> str:
+    """The coding mode, such as "JPEG of 12 bits", if it is not supported; else ""."""
+    with path.open("rb") as file:
+        for marker, data in jpeg_segments(file):
+            if marker in _LOSSLESS_OR_HIERARCHICAL:
+                return "lossless or hierarchical JPEG"
+            if marker in _FRAMES:
+                return f"JPEG of {data[0]} bits" if data and data[0] != 8 else ""
+    return ""
+
+
+# JPEGs that lack their end marker alone, as copies and network cameras leave them.
+
+_NO_END = "The JPEG lacks its end marker; all of its picture is there."
+_END = b"\xff\xd9"
+# Appended in turn: where a picture lacks codes, they decode to different ones.
+_FILLERS = (b"", b"\x5a" * 64, b"\xa5\x13" * 64)
+
+
+def loaded_jpeg(image: JpegImageFile, path: Path) -> tuple[JpegImageFile, tuple[str, ...]]:
+    """A JPEG file with its pixels decoded, and a note if only its end marker was missing.
+
+    Raises:
+        OSError: it is truncated.
+    """
+    try:
+        image.load()
+    except OSError:
+        whole = _with_end(path)
+        if whole is None:
+            raise
+        image = type(image)(io.BytesIO(whole))
+        image.load()
+        return image, (_NO_END,)
+    return image, ()
+
+
+def _with_end(path: Path) -> bytes | None:
+    """A JPEG's bytes with an end marker, if that is all it lacks; else None."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    data = path.read_bytes().rstrip(b"\0\xff")
+    if _END in data[data.rfind(b"\xff\xda") :]:
+        return None
+    pictures = (JpegImageFile(io.BytesIO(data + filler + _END)) for filler in _FILLERS)
+    try:
+        same = len({picture.tobytes() for picture in pictures}) == 1
+    except (OSError, SyntaxError, ValueError):
+        return None
+    return data + _END if same else None
+
+
 def pillow_reader(kind: FileKind) -> Any:  # noqa: ANN401
-    """Pillow's class of JPEG, PNG, WebP or AVIF files; its Image.open refuses large pictures.
+    """Pillow's class of JPEG, WebP or AVIF files; its Image.open refuses large pictures.
 
     Raises:
         ImportError: this Pillow has none.
     """
-    names = {FileKind.PNG: "Png", FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}
-    name = names.get(kind, "Jpeg")
+    name = {FileKind.WEBP: "WebP", FileKind.AVIF: "Avif"}.get(kind, "Jpeg")
     return getattr(import_module(f"PIL.{name}ImagePlugin"), f"{name}ImageFile")
 
 
 def pillow_info(path: Path, kind: FileKind) -> dict[str, Any]:
-    """Metadata of a JPEG, PNG, WebP or AVIF by Pillow's names; empty if it is damaged."""
+    """Metadata of a JPEG or WebP by Pillow's names, wherever they stand; empty if it is damaged."""
     try:
         with path.open("rb") as file:
             return dict(pillow_reader(kind)(file).info)
@@ -201,6 +366,9 @@ class Tag(IntEnum):
     """
 
     Orientation = 274
+    WhitePoint = 318
+    PrimaryChromaticities = 319
+    XMP = 700
     CFARepeatPatternDim = 33421
     CFAPattern = 33422
     ExifIFD = 34665
@@ -259,8 +427,26 @@ class TiffPicture:
     """Index of its page."""
     compression: str = ""
     """Name of its compression, if not every OpenImageIO decodes that; else ""."""
+    white_is_zero: bool = False
+    """Whether the least code is white."""
     notes: tuple[str, ...] = ()
     """Notes on other pages."""
+
+    def as_meant(self, stored: NDArray[Any], alpha: int) -> NDArray[Any]:
+        """Values (H, W, C) as OpenImageIO reads them, with stored white as the largest value.
+
+        Where WhiteIsZero, OpenImageIO inverts all channels of up to 8 bits, and none of others.
+
+        Args:
+            alpha: index of the channel of alpha, or negative.
+        """
+        if not self.white_is_zero:
+            return stored
+        eight = stored.dtype == np.uint8
+        wrong = [c for c in range(stored.shape[-1]) if (c == alpha) == eight]
+        largest = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
+        stored[..., wrong] = stored.dtype.type(largest) - stored[..., wrong]
+        return stored
 
 
 def meant_picture(path: Path) -> TiffPicture:
@@ -293,8 +479,6 @@ def meant_picture(path: Path) -> TiffPicture:
             raise unsupported(
                 path, "a TIFF whose picture is in a sub-directory behind a smaller one"
             )
-        if photometric == WHITE_IS_ZERO and bits > 8:  # up to 8, OpenImageIO inverts them
-            raise unsupported(path, f"a TIFF of {bits} bits whose least code is white")
         if photometric in _NO_RGB:
             raise unsupported(path, f"a TIFF of {_NO_RGB[photometric]} colours")
         if photometric in GREYS and bands > 4:
@@ -306,5 +490,6 @@ def meant_picture(path: Path) -> TiffPicture:
         return TiffPicture(
             chosen,
             "" if usual else str(getattr(page.compression, "name", code)).upper(),
+            photometric == WHITE_IS_ZERO,
             (f"The file holds {equal} pictures: the first is read.",) if equal > 1 else (),
         )

@@ -1,4 +1,4 @@
-"""Reads and writes OpenEXR files."""
+"""Reads and writes OpenEXR files, and reads headers of Radiance HDR."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
-from matcap.files.color import REC709
+from matcap.files.color import REC709, XYZ
 
 # Roles of channels by name, in lower case and without the layer.
 _ROLES = {
@@ -75,11 +75,14 @@ def meant_layer(
         layer for index, spec in flat for layer in _layers(index, spec, len(specs) > 1, where)
     ]
     if not layers:
-        if not flat:
-            refuse_deep(where, specs[0])
+        deep = not flat
         names = ", ".join(name for spec in specs for name in spec.channelnames)[:80]
         raise MatcapError.at(
-            where, f"none of its channels ({names}) is red or grey", "save it as RGB"
+            where,
+            "this is a deep EXR file, which is not supported"
+            if deep
+            else f"none of its channels ({names}) is red or grey",
+            "flatten it, and save it with one sample a pixel" if deep else "save it as RGB",
         )
 
     def order(layer: ExrLayer) -> tuple[int, int, int]:
@@ -147,6 +150,93 @@ def _roles(tails: Mapping[str, int], *, alone: bool) -> dict[str, int] | None:
         return None
     grey = (named or list(others.values()))[0]
     return dict.fromkeys(_COLOURS, grey) | ({} if alpha is None else {"A": tails[alpha]})
+
+
+# Headers of Radiance HDR images: exposure, primaries and orientation [ward1991; larson1998].
+#
+# Lines of text up to an empty one, then the resolution, such as `-Y 512 +X 1024`: axis and number
+# of the scanlines, then axis and number of the texels in each; `-Y` is down, `+X` right. Stored
+# radiance is true radiance times the product of all EXPOSURE and COLORCORR entries. FORMAT is RGB
+# or CIE XYZ.
+
+MAGIC = b"#?"
+_LONGEST = 1 << 16  # bytes of a header
+_RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,6}) +([+-])([XY]) +(\d{1,6}) *\r?\n")
+
+
+@dataclass(frozen=True)
+class RadianceHeader:
+    """A Radiance header."""
+
+    length: int
+    """Length of the header in bytes."""
+    scanlines: int
+    """Number of scanlines."""
+    texels: int
+    """Number of texels in a scanline."""
+    columns: bool
+    """Whether scanlines are columns."""
+    flips: tuple[bool, bool]
+    """Whether y runs up, and x left."""
+    exposure: NDArray[np.float64]
+    """(3,) stored over true radiance."""
+    primaries: tuple[float, ...] | None
+    """Primaries as in EXR's chromaticities, or None."""
+
+    def plain(self) -> bytes:
+        """A minimal header for the same scanlines, in standard orientation and RGB."""
+        size = f"-Y {self.scanlines} +X {self.texels}\n"
+        return f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n{size}".encode()
+
+    def upright(self, stored: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(H, W, 3) upright true radiance of stored values (scanlines, texels, 3)."""
+        picture = stored.transpose(1, 0, 2) if self.columns else stored
+        picture = picture[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
+        return np.ascontiguousarray(picture / self.exposure.astype(np.float32))
+
+
+def radiance_header(path: Path) -> RadianceHeader:
+    """Read the header of a file that begins with MAGIC.
+
+    Raises:
+        ValueError: the header is damaged, or of an unknown format.
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_LONGEST)
+    end = re.search(rb"\n\r?\n", head)
+    match = end and _RESOLUTION.match(head, end.end())
+    if not end or not match:
+        raise ValueError("it has no resolution")
+    lines = [line.strip() for line in head[: end.start()].decode("latin-1").split("\n")[1:]]
+    entries = [line.split("=", 1) for line in lines if "=" in line]
+    formats = [value.strip() for key, value in entries if key.strip() == "FORMAT"]
+    xyz = any(value == "32-bit_rle_xyze" for value in formats)
+    if not xyz and any(value != "32-bit_rle_rgbe" for value in formats):
+        raise ValueError(f"its format is {formats[0][:40]!r}")
+    exposure = np.ones(3)
+    primaries: tuple[float, ...] | None = XYZ if xyz else None
+    for key, value in entries:
+        numbers = [float(word) for word in value.split()] if key in _NUMBERS else []
+        if len(numbers) != _NUMBERS.get(key, 0):
+            raise ValueError(f"its {key} is {value[:40]!r}")
+        if key == "PRIMARIES":
+            primaries = tuple(numbers)
+        elif numbers:
+            exposure = exposure * numbers
+    if not (np.isfinite(exposure).all() and exposure.min() > 0.0):
+        raise ValueError("its exposure is none")
+    (first, axis, scanlines), (second, other, texels) = match.groups()[:3], match.groups()[3:]
+    if axis == other or not int(scanlines) or not int(texels):
+        raise ValueError("its resolution is none")
+    signs = {axis: first, other: second}
+    flips = signs[b"Y"] == b"+", signs[b"X"] == b"-"
+    return RadianceHeader(
+        match.end(), int(scanlines), int(texels), axis == b"X", flips, exposure, primaries
+    )
+
+
+_NUMBERS = {"EXPOSURE": 1, "COLORCORR": 3, "PRIMARIES": 8}
 
 
 # Reads and writes OpenEXR files: single-part scanlines, ZIP, Rec.709.
@@ -271,7 +361,7 @@ def read_exr(
     return NamedChannels(np.asarray(pixels, dtype=np.float32), names, stated_primaries(spec))
 
 
-def refuse_deep(path: Path | str, spec: Any) -> None:  # noqa: ANN401
+def refuse_deep(path: Path, spec: Any) -> None:  # noqa: ANN401
     """Raise MatcapError for a deep EXR file, by OpenImageIO's specification of it."""
     if spec.deep:
         raise MatcapError.at(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import io
-import math
-import re
 import struct
+import tempfile
 import warnings
 import zlib
 from collections.abc import Mapping, Sequence
@@ -34,14 +33,16 @@ from matcap.files.containers import (
     check_pixels,
     decoding,
     kind_of,
+    loaded_jpeg,
     meant_picture,
     missing_extra,
     pillow_reader,
     read_head,
     unreadable,
     unsupported,
+    unsupported_jpeg,
 )
-from matcap.files.exr import forget_error, meant_layer, stated_primaries, write_exr
+from matcap.files.exr import forget_error, meant_layer, radiance_header, stated_primaries, write_exr
 from matcap.files.names import check_suffix, note
 from matcap.files.output import Output
 from matcap.files.process import quiet_decoders
@@ -109,7 +110,6 @@ _READ_AS = {"uint8": "uint8", "uint16": "uint16", "uint": "uint16", "uint32": "u
 _SIGNED = ("int8", "int16", "int", "int32")
 _LARGEST = 1e37  # values that matrices of colours keep finite
 _MOST_PARTS = 64  # of an EXR that are looked at
-_LONGEST_HEADER = 1 << 16  # bytes of a Radiance file
 _MODES = ("L", "LA", "RGB", "RGBA")  # Pillow's that are read directly
 _STRIP = 1 << 22  # pixels that are copied at once
 # Pixels beyond which a JPEG is decoded at half size (DCT scaling), if that suffices.
@@ -199,7 +199,7 @@ def read_pixels(path: Path, *, outside: float | None = None, wanted: Sequence[st
     if pixels.orientation == 1:
         return pixels
     stored = np.ascontiguousarray(upright(pixels.stored, pixels.orientation))
-    says = f"Turned upright, as its orientation ({pixels.orientation}) says."
+    says = f"Turned upright, as its Exif orientation ({pixels.orientation}) says."
     return replace(pixels, stored=stored, orientation=1, notes=(*pixels.notes, says))
 
 
@@ -228,7 +228,10 @@ def decoded(
             return _by_pillow(path, kind, long_side)
         if kind is FileKind.HEIC:
             return _from_heic(path)
-        pixels = _by_openimageio(path, kind, outside, wanted)
+        if kind is FileKind.RADIANCE:
+            pixels = _from_radiance(path)
+        else:
+            pixels = _by_openimageio(path, kind, outside, wanted)
     if not pixels.whole and not np.isfinite(pixels.stored).all():
         raise MatcapError.at(
             path,
@@ -244,6 +247,8 @@ def _by_pillow(path: Path, kind: FileKind, long_side: int | None) -> Pixels:
         reader = pillow_reader(kind)
     except ImportError as error:
         raise unsupported(path, f"{kind.value} by the Pillow that is installed") from error
+    if kind is FileKind.JPEG and (coding := unsupported_jpeg(path)):
+        raise unsupported(path, coding)
     with path.open("rb") as file:
         image = reader(file)
         size = image.size
@@ -252,9 +257,11 @@ def _by_pillow(path: Path, kind: FileKind, long_side: int | None) -> Pixels:
             enough = long_side is not None and 2 * long_side <= max(size)
             if size[0] * size[1] > _LARGE and enough:
                 image.draft(image.mode, ((size[0] + 1) // 2, (size[1] + 1) // 2))
-        image.load()
-        several = kind is not FileKind.JPEG and getattr(image, "n_frames", 1) > 1
-        notes = ("The first of several pictures is read.",) if several else ()
+            image, notes = loaded_jpeg(image, path)
+        else:
+            image.load()
+            several = getattr(image, "n_frames", 1) > 1
+            notes = ("The first of several pictures is read.",) if several else ()
     if image.mode not in _MODES:
         if kind is FileKind.JPEG:
             raise unsupported(path, f"a JPEG of {image.mode} colours")
@@ -301,11 +308,22 @@ def _from_heic(path: Path) -> Pixels:
     return Pixels(path, stored, _roles(stored), info=info, gain_map=gain_map)
 
 
-def _radiance_exposure(path: Path) -> float:
-    """Stored over true radiance: the product of a Radiance file's EXPOSURE lines [ward1991]."""
-    with path.open("rb") as file:
-        head = file.read(_LONGEST_HEADER).split(b"\n\n")[0]
-    return math.prod(float(value) for value in re.findall(rb"^EXPOSURE *= *(.*)$", head, re.M))
+def _from_radiance(path: Path) -> Pixels:
+    """Decode Radiance HDR by OpenImageIO, with a header reduced to what it supports."""
+    try:
+        header = radiance_header(path)
+        check_pixels(path, header.scanlines, header.texels)
+        with tempfile.TemporaryDirectory() as place:
+            plain = Path(place) / "plain.hdr"
+            plain.write_bytes(header.plain() + path.read_bytes()[header.length :])
+            stored = _by_openimageio(plain, FileKind.RADIANCE, None, ()).stored
+    except (ValueError, OSError) as error:
+        raise MatcapError.at(
+            path, f"the Radiance file is damaged ({error})", "download it again"
+        ) from error
+    except MatcapError as error:
+        raise MatcapError.at(path, error.what, error.remedy) from error
+    return Pixels(path, header.upright(stored), _RGB, header.primaries)
 
 
 def _by_openimageio(
@@ -339,15 +357,12 @@ def _by_openimageio(
         source.close()
     if stored is None or said:
         raise _not_decoded(path, kind, page, said)
-    stored, partial = np.asarray(stored), False
+    stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
     if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
         stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
     if exr:  # in other formats an offset is the position on a page
         stored, partial = _in_display_window(path, spec, stored, outside)
     orientation = 1 if exr else spec.getattribute("Orientation")
-    if kind is FileKind.RADIANCE:
-        stored = stored / np.float32(_radiance_exposure(path))
-        orientation = {6: 8, 8: 6}.get(orientation, orientation)  # OpenImageIO exchanges them
     return Pixels(
         path,
         stored,
@@ -366,8 +381,6 @@ def _not_decoded(path: Path, kind: FileKind, page: TiffPicture, said: str) -> Ma
     """The error for a picture that OpenImageIO does not decode."""
     if page.compression:
         return unsupported(path, f"TIFF compression {page.compression}")
-    if "no FORMAT" in said:
-        return unsupported(path, "a Radiance HDR file of other colours than RGB")
     if kind is FileKind.OTHER and "truncated" not in said:
         return MatcapError.at(
             path,

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError
+from matcap.files import containers
 from matcap.files.color import LINEAR, Linearise, largest_code
 from matcap.files.containers import FileKind
 from matcap.files.pixels import Pixels, decoded, linear_colours
@@ -90,12 +91,15 @@ def read_developed(
     check_size(path, *size)
     exif = _exif(path, kind, pixels)
     if pixels.whole:
+        notes = pixels.notes
+        if kind is FileKind.AVIF and (bits := _avif_bits(path)) > 8:
+            notes = (*notes, f"The picture's {bits} bits are read as 8.")
         coded = Coded(
             pixels.colours(),
             stated_color(path, pixels.page),
             _LOSSY_CLIP if kind in _LOSSY else 1.0,
             pixels.stored[..., pixels.roles["A"]] if "A" in pixels.roles else None,
-            notes=pixels.notes,
+            notes=notes,
         )
         coded = _brightened(coded, path, kind, pixels)
     else:
@@ -110,7 +114,7 @@ def read_developed(
 def _exif(path: Path, kind: FileKind, pixels: Pixels) -> Exif:
     """Metadata of a photograph, with the orientation of what is decoded."""
     if kind in (FileKind.EXR, FileKind.RADIANCE):
-        return Exif(orientation=pixels.orientation)
+        return Exif()
     if kind not in (FileKind.HEIC, FileKind.AVIF):
         exif = read_exif(path)
         return replace(exif, orientation=pixels.orientation) if pixels.page else exif
@@ -118,6 +122,14 @@ def _exif(path: Path, kind: FileKind, pixels: Pixels) -> Exif:
     # Exif block repeats it.
     exif = read_exif(pixels.info.get("exif") or b"")
     return replace(exif, orientation=1) if kind is FileKind.HEIC else exif
+
+
+def _avif_bits(path: Path) -> int:
+    """Bits per channel; 8 if the file's boxes are damaged."""
+    try:
+        return containers.primary_properties(path).bits
+    except Exception:  # struct.error, KeyError, IndexError and others on damaged boxes
+        return 8
 
 
 def _brightened(coded: Coded, path: Path, kind: FileKind, pixels: Pixels) -> Coded:

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import io
+import re
+import zlib
 from dataclasses import dataclass
 from math import atan, degrees, hypot, radians, tan
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matcap.files.containers import FileKind, kind_of, pillow_info
+from matcap.files.containers import FileKind, Tag, kind_of, pillow_info
+from matcap.files.stated_color import png_chunks
+
+# Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
+#
+# | container | source |
+# | --- | --- |
+# | JPEG, TIFF, RAW | Exif; XMP if Exif has no orientation or focal length |
+# | PNG | eXIf, XMP |
+# | WebP | EXIF and XMP |
+# | HEIC, AVIF | Exif from the decoder |
+
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)
 _PHONE_REACH = tan(radians(33.0))  # half the long side over the distance
+_LARGEST_XMP = 1 << 22  # bytes of XMP that are parsed
 # Millimetres by FocalPlaneResolutionUnit (Exif 2.32); some cameras use 4 and 5.
 _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 # Ratio of tangents by focal plane resolution and by FocalLengthIn35mmFilm from which on the first
@@ -20,6 +34,7 @@ _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _CONTRADICTS = 1.5
 _DIFFERS = 1.06  # ratio from which on there is a note; 20 mm is rounded by 2.5 %
 _NARROWEST, _WIDEST = 2.0, 150.0  # plausible fields of view, degrees
+_LARGEST_INFLATED = 1 << 24  # most bytes of a decompressed text
 
 
 @dataclass(frozen=True)
@@ -106,22 +121,67 @@ def part_of_fov(fov: float, share: float) -> float:
     return degrees(2.0 * atan(share * tan(radians(fov) / 2.0)))
 
 
-def read_exif(source: Path | bytes) -> Exif:
+def read_exif(source: Path | bytes, xmp: bytes = b"") -> Exif:
     """Read the metadata of a file, or of a block of Exif bytes.
 
     Absent or damaged tags have their defaults; never raises for a file's content.
 
     Args:
         source: an existing file, or Exif bytes.
+        xmp: XMP packet that belongs to Exif bytes; ignored for a file.
     """
     if isinstance(source, bytes):
-        return _interpret(exif_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))))
+        return _interpret(exif_tags(io.BytesIO(source.removeprefix(b"Exif\0\0"))), xmp)
     with source.open("rb") as file:
         kind = kind_of(file.read(64))
-        if kind in (FileKind.PNG, FileKind.JPEG, FileKind.WEBP):
-            return read_exif(pillow_info(source, kind).get("exif", b""))
+        if kind is FileKind.PNG:
+            return _of_png(list(png_chunks(source)))
+        if kind in (FileKind.JPEG, FileKind.WEBP):
+            info = pillow_info(source, kind)
+            return read_exif(info.get("exif", b""), info.get("xmp", b""))
+        xmp = _xmp_of(source) if kind is FileKind.TIFF else b""
         file.seek(0)
-        return _interpret(exif_tags(file))
+        return _interpret(exif_tags(file), xmp)
+
+
+def _of_png(chunks: list[tuple[bytes, bytes]]) -> Exif:
+    exif = xmp = b""
+    for kind, data in chunks:
+        if kind == b"eXIf":
+            exif = data
+        elif kind == b"iTXt" and data.startswith(b"XML:com.adobe.xmp\0"):
+            xmp = _text(data)
+    return read_exif(exif, xmp)
+
+
+def _text(data: bytes) -> bytes:
+    """Text of a PNG's iTXt chunk (PNG 3rd edition, 11.3.3.4); empty if damaged."""
+    _, _, rest = data.partition(b"\0")
+    text = rest[2:].split(b"\0", 2)[-1]
+    if rest[:1] != b"\1":
+        return text
+    try:
+        return zlib.decompressobj().decompress(text, _LARGEST_INFLATED)
+    except zlib.error:
+        return b""
+
+
+def _xmp_of(path: Path) -> bytes:
+    """The XMP packet of a TIFF; empty if there is none."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            tag = tiff.pages.first.tags.get(Tag.XMP)
+            return b"" if tag is None else bytes(tag.value)[:_LARGEST_XMP]
+    except Exception:  # parsers raise anything on damaged files; decoding the pixels reports them
+        return b""
+
+
+def _of_xmp(xmp: bytes, name: bytes) -> int:
+    """An integer in XMP, as attribute or element; -1 if absent."""
+    match = re.search(name + rb"\s*(?:=\s*[\"']|>)\s*(\d{1,5})\b", xmp)
+    return int(match[1]) if match else -1
 
 
 def _exposure(tags: dict[str, Any]) -> float | None:
@@ -179,12 +239,17 @@ def exif_tags(file: BinaryIO) -> dict[str, Any]:
         return {}
 
 
-def _interpret(tags: dict[str, Any]) -> Exif:
+def _interpret(tags: dict[str, Any], xmp: bytes) -> Exif:
     # Android's DNGs have them in the first directory, without one of Exif (TIFF/EP).
     first = {f"EXIF {name[6:]}": tag for name, tag in tags.items() if name.startswith("Image ")}
     tags = first | tags
     orientation = _number(tags, "Image Orientation")
+    if orientation not in range(1, 9):
+        orientation = _of_xmp(xmp, b"tiff:Orientation")
     film = _ratio(tags, "EXIF FocalLengthIn35mmFilm")
+    if film is None:
+        stated = _of_xmp(xmp, b"exif:FocalLengthIn35mmFilm")
+        film = float(stated) if stated > 0 else None
     flash = _number(tags, "EXIF Flash")
     return Exif(
         orientation=orientation if orientation in range(1, 9) else 1,

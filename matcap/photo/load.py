@@ -40,9 +40,10 @@ def file_kind(path: Path) -> FileKind:
     Raises:
         MatcapError: the file is missing, not a file, empty, unreadable, or not a photograph.
     """
-    kind = kind_of(read_head(path))
+    head = read_head(path)
+    kind = kind_of(head)
     if kind is FileKind.OTHER:
-        raise MatcapError.at(path, "this is not a photograph that can be read", _READABLE)
+        raise MatcapError.at(path, f"this is not a photograph{_guess(head)}", _READABLE)
     if kind is not FileKind.TIFF:
         return kind
     import tifffile
@@ -52,6 +53,27 @@ def file_kind(path: Path) -> FileKind:
             return FileKind.DNG
         raw = path.suffix.lower() in RAW_SUFFIXES or raw_page(file) is not None
         return FileKind.RAW if raw else FileKind.TIFF
+
+
+# Other formats by their first bytes, for error messages.
+_KNOWN = {
+    b"GIF8": "a GIF", b"BM": "a BMP picture", b"8BPS": "a Photoshop document",
+    b"%PDF": "a PDF document",
+    b"\xff\x0a": "a JPEG XL picture", b"\0\0\0\x0cJXL ": "a JPEG XL picture",
+    b"\xff\x4f\xff\x51": "a JPEG 2000 picture", b"\0\0\0\x0cjP  ": "a JPEG 2000 picture",
+}  # fmt: skip
+
+
+def _guess(head: bytes) -> str:
+    """Part of a message that names the format by the first bytes, or ""."""
+    for begins, what in _KNOWN.items():
+        if head.startswith(begins):
+            return f" in a supported format but {what}"
+    if head[4:8] == b"ftyp":
+        return " but a video or another container"
+    if all(byte in b"\t\n\r\f\x1b" or 32 <= byte < 127 for byte in head):
+        return " but a text file"
+    return ""
 
 
 _DARKEST = 1e-3  # linear; a picture whose maximum is less counts as black

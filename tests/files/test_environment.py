@@ -56,18 +56,22 @@ def test_radiance_files_are_oriented_by_their_resolution_line(tmp_path, resoluti
 
 
 def test_radiance_exposures_multiply(tmp_path):
-    lines = ("EXPOSURE=2.0", "EXPOSURE= 3.0")
-    near(read_picture(radiance(tmp_path / "a.hdr", PICTURE * 6.0, *lines)), PICTURE)
+    stored = PICTURE * 6.0 * np.array([1.0, 2.0, 0.5], np.float32)
+    lines = ("EXPOSURE=2.0", "EXPOSURE= 3.0", "COLORCORR= 1.0 2.0 0.5")
+    near(read_picture(radiance(tmp_path / "a.hdr", stored, *lines)), PICTURE, 4.0)
 
 
-def test_radiance_files_in_xyz_are_refused(tmp_path):
-    with pytest.raises(MatcapError, match="other colours than RGB is not supported"):
-        read_picture(radiance(tmp_path / "a.hdr", PICTURE, form="xyze"))
+def test_radiance_files_in_xyz_are_converted(tmp_path):
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    file = radiance(tmp_path / "a.hdr", PICTURE @ np.transpose(to_xyz), form="xyze")
+    with pytest.warns(Note, match="primaries"):
+        found = read_picture(file)
+    assert np.abs(found - PICTURE).max() < 0.08  # quantised before the matrix
 
 
 @pytest.mark.parametrize(
     ("line", "resolution"),
-    [("EXPOSURE=none", ""), ("EXPOSURE=0", ""), ("", "8 x 16"),
+    [("EXPOSURE=none", ""), ("EXPOSURE=0", ""), ("FORMAT=64-bit", ""), ("", "8 x 16"),
      ("", "-Y 8 +Y 16"), ("", "-Y 99999 +X 99999")],
 )  # fmt: skip
 def test_damaged_radiance_files_are_refused(tmp_path, line, resolution):

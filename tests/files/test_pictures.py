@@ -8,6 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageOps
@@ -19,12 +20,14 @@ from matcap.files.color import (
     rec709_from,
     srgb_decode,
     srgb_encode,
+    srgb_encode_tensor,
     srgb_picture,
     srgb_slope,
 )
 from matcap.files.color import REC709 as COLOR_REC709
 from matcap.files.exr import REC709, read_exr, write_exr, write_exr_channels
 from matcap.files.pixels import linear_colours, read_mask, read_pixels, write_picture, write_png
+from matcap.photo.load import load_photo
 
 # Pictures for people, and masks as painting programs save them.
 
@@ -283,6 +286,7 @@ def test_srgb_has_the_worked_values(light, code):
 @given(st.floats(-0.5, 4.0, allow_subnormal=False))
 def test_srgb_encoding_and_decoding_are_inverse(light):
     code = srgb_encode(np.array(light))
+    assert float(srgb_encode_tensor(torch.tensor(light).double())) == pytest.approx(float(code))
     assert srgb_decode(code) == pytest.approx(light, rel=1e-12 if 0.0 < light < 1.0 else 1e-7)
 
 
@@ -293,6 +297,11 @@ def test_the_srgb_curve_is_continuous_at_the_knee_with_bounded_slope(knee):
     assert at - before == pytest.approx(12.92 * step, rel=2e-2, abs=4e-8)
     assert after - at == pytest.approx(12.92 * step, rel=2e-2, abs=4e-8)
     assert np.isfinite(srgb_encode(np.array([-1.0, 0.0, 1e-320]))).all()
+
+
+def test_srgb_has_a_gradient_on_both_sides_of_the_knee():
+    values = torch.tensor([-0.2, 0.0, 1e-3, 0.02, 0.06, 0.5, 2.0], dtype=torch.float64)
+    assert torch.autograd.gradcheck(srgb_encode_tensor, values.requires_grad_())
 
 
 def test_a_picture_is_clipped():
@@ -310,14 +319,40 @@ def test_srgb_slope_is_the_derivative(light):
     assert srgb_slope(np.array([light], np.float32)).dtype == np.float32
 
 
-def test_white_is_zero_tiffs_are_inverted_or_refused(tmp_path):
+def stored_inverted(path, picture, **options):
+    """A grey TIFF of WhiteIsZero."""
+    largest = np.iinfo(picture.dtype).max if picture.dtype.kind == "u" else 1
+    codes = (largest - picture).astype(picture.dtype)
+    tifffile.imwrite(path, codes, photometric="miniswhite", **options)
+
+
+@pytest.mark.parametrize("tile", [None, (32, 32)])
+@pytest.mark.parametrize("kind", ["uint8", "uint16", "uint32", "float16", "float32"])
+def test_white_is_zero_tiffs_are_inverted_once(tmp_path, kind, tile):
+    """Decoders invert 8 bits and leave the others."""
     grey = np.tile(np.linspace(0.1, 0.9, 96), (64, 1))
+    dtype = np.dtype(kind)
+    scaled = grey * (np.iinfo(dtype).max if dtype.kind == "u" else 1)
+    scaled = np.rint(scaled) if dtype.kind == "u" else scaled
+    stored_inverted(tmp_path / "a.tif", scaled.astype(dtype), tile=tile)
+    np.testing.assert_allclose(read_mask(tmp_path / "a.tif"), grey, atol=4e-3)
+    linear = kind.startswith("float")
+    expected = grey if linear else srgb_decode(grey)
+    photo = load_photo(tmp_path / "a.tif")
+    np.testing.assert_allclose(photo.pixels[..., 1], expected, atol=5e-3)
+
+
+def test_white_is_zero_leaves_alpha(tmp_path):
     for kind in ("uint8", "uint16"):
-        codes = np.rint((1.0 - grey) * np.iinfo(kind).max).astype(kind)
-        tifffile.imwrite(tmp_path / f"{kind}.tif", codes, photometric="miniswhite")
-    np.testing.assert_allclose(read_mask(tmp_path / "uint8.tif"), grey, atol=4e-3)
-    with pytest.raises(MatcapError, match="whose least code is white"):
-        read_mask(tmp_path / "uint16.tif")
+        largest = np.iinfo(kind).max
+        codes = np.full((64, 64, 2), largest // 4, kind)
+        codes[..., 1] = largest // 3 * 2
+        tifffile.imwrite(
+            tmp_path / "a.tif", codes, photometric="miniswhite", extrasamples=["unassalpha"]
+        )
+        pixels = read_pixels(tmp_path / "a.tif")
+        assert float(pixels.channel("R")[0, 0]) == pytest.approx(0.75, abs=0.01)
+        assert float(pixels.channel("A")[0, 0]) == pytest.approx(0.667, abs=0.01)
 
 
 def test_a_thumbnail_s_channels_are_not_the_picture_s(tmp_path):
@@ -408,3 +443,22 @@ def test_an_unknown_interop_id_is_noted(tmp_path):
     colours, notes = linear_colours(read_pixels(tmp_path / "a.exr"))
     assert colours[0, 0, 0] == 0.5
     assert "lin_martian_scene" in notes[0]
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+@pytest.mark.parametrize("cut", [1, 2, 3, 5, 40])
+def test_a_jpeg_may_lack_its_end_marker_and_no_more(tmp_path, progressive, cut):
+    codes = np.random.default_rng(1).integers(0, 256, (96, 128, 3)).astype(np.uint8)
+    path = tmp_path / "a.jpg"
+    Image.fromarray(codes).save(path, progressive=progressive)
+    expected, photo = read_pixels(path), load_photo(path)
+    path.write_bytes(path.read_bytes()[:-cut])
+    if cut > 2:
+        for read in (read_pixels, load_photo):
+            with pytest.raises(MatcapError, match="truncated"):
+                read(path)
+        return
+    pixels = read_pixels(path)
+    np.testing.assert_array_equal(pixels.stored, expected.stored)
+    assert "end marker" in pixels.notes[0]
+    np.testing.assert_array_equal(load_photo(path).pixels, photo.pixels)

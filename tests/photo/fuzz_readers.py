@@ -92,7 +92,7 @@ def radiance(path: Path) -> None:
 def tiff(path: Path) -> None:
     with tifffile.TiffWriter(path) as file:
         file.write(np.zeros((8, 8), np.uint8), photometric="minisblack", subfiletype=1)
-        file.write((257 * codes()[..., 0].astype(np.uint16)), photometric="minisblack")
+        file.write((257 * codes()[..., 0].astype(np.uint16)), photometric="miniswhite")
 
 
 def dng(path: Path) -> None:

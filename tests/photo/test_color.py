@@ -384,6 +384,11 @@ def write_png(path, codes, *chunks):
     return path
 
 
+def chromaticities(primaries):
+    order = (*primaries[6:], *primaries[:6])
+    return b"cHRM", struct.pack(">8I", *(round(100_000 * v) for v in order))
+
+
 def gamma(exponent):
     return b"gAMA", struct.pack(">I", round(100_000 / exponent))
 
@@ -395,10 +400,17 @@ def seen(photo):
 @pytest.mark.parametrize(
     ("primaries", "encode", "chunks", "named"),
     [
+        (P3, srgb_encode, [(b"cICP", bytes((12, 13, 0, 1)))], "Display P3"),
+        (BT2020, pq, [(b"cICP", bytes((9, 16, 0, 1)))], "BT.2020, PQ"),
+        (BT2020, hlg, [(b"cICP", bytes((9, 18, 0, 1)))], "BT.2020, HLG"),
+        (None, lambda v: v, [(b"cICP", bytes((1, 8, 0, 1)))], "linear"),
+        (P3, srgb_encode, [chromaticities(P3)], "primaries"),
+        (ADOBE, lambda v: v ** (1 / 2.2), [gamma(2.2), chromaticities(ADOBE)], "gamma 2.2"),
         (None, lambda v: v ** (1 / 1.8), [gamma(1.8)], "gamma 1.8"),
         (None, lambda v: v, [gamma(1.0)], "gamma 1"),
         (None, srgb_encode, [gamma(2.2)], None),
         (None, srgb_encode, [(b"sRGB", b"\0"), gamma(1.8)], None),
+        (P3, srgb_encode, [(b"cICP", bytes((12, 13, 0, 1))), gamma(1.0)], "Display P3"),
     ],
     ids=lambda each: getattr(each, "__name__", str(each)),
 )
@@ -411,8 +423,12 @@ def test_colour_chunks_of_png_are_followed(tmp_path, primaries, encode, chunks, 
 @pytest.mark.parametrize(
     "chunks",
     [
+        [(b"cICP", bytes((200, 13, 0, 1)))],
+        [(b"cICP", bytes((7, 7, 0, 1)))],
+        [(b"cICP", bytes((1, 77, 0, 1)))],
         [(b"gAMA", b"\0\0\0\0")],
-        [(b"iCCP", b"p3\0\0broken")],
+        [(b"cHRM", bytes(32))],
+        [(b"iCCP", b"broken")],
     ],
     ids=str,
 )
@@ -485,6 +501,16 @@ def test_a_profile_overrides_the_colour_space_of_exif(photo_of):
     assert len(photo.notes) == 1
 
 
+def test_primaries_of_a_tiff(tmp_path):
+    rational = [n for v in P3 for n in (round(10_000 * v), 10_000)]
+    tags = [(319, 5, 6, rational[:12], True), (318, 5, 2, rational[12:], True)]
+    codes = patches(P3, srgb_encode)
+    tifffile.imwrite(tmp_path / "a.tif", codes, photometric="rgb", extratags=tags)
+    photo = load_photo(tmp_path / "a.tif")
+    np.testing.assert_allclose(seen(photo), REC709, atol=2e-3)
+    assert any("primaries" in note for note in photo.notes)
+
+
 def grey_profile(exponent: float) -> bytes:
     """A grey profile: that of matrices with another head, and red's curve as grey's."""
     profile = bytearray(matrix_profile(curve=parametric(0, exponent), space=b"GRAY", name="grey"))
@@ -513,15 +539,21 @@ def with_nclx(path, primaries, transfer):
     path.write_bytes(data)
 
 
-def test_colour_code_points_of_nclx_are_followed(tmp_path):
-    path = tmp_path / "a.heic"
-    heif = pytest.importorskip("pillow_heif").from_pillow(eight_bits(patches(P3, srgb_encode)))
-    heif.save(path, quality=100, chroma=444)
+@pytest.mark.parametrize("form", ["avif", "heic"])
+def test_colour_code_points_of_nclx_are_followed(tmp_path, form):
+    path = tmp_path / f"a.{form}"
+    picture = eight_bits(patches(P3, srgb_encode))
+    if form == "heic":
+        heif = pytest.importorskip("pillow_heif").from_pillow(picture)
+        heif.save(path, quality=100, chroma=444)
+    else:
+        picture.save(path, quality=100, subsampling="4:4:4")
     with_nclx(path, 12, 13)
     assert stated_color(path).space.name.startswith("Display P3")
-    photo = load_photo(path)
-    np.testing.assert_allclose(seen(photo), REC709, atol=2e-2)
-    assert any("Display P3" in note for note in photo.notes)
+    if form == "heic":
+        photo = load_photo(path)
+        np.testing.assert_allclose(seen(photo), REC709, atol=2e-2)
+        assert any("Display P3" in note for note in photo.notes)
 
 
 def test_worked_values_of_the_curves():

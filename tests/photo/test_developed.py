@@ -370,12 +370,14 @@ def refuse(path: Path) -> MatcapError:
     ("data", "said"),
     [
         (b"", "empty"),
-        (b"Dear diary, today I photographed a wall.\n" * 30, "not a photograph"),
-        (b"\0\0\0\x20ftypisom" + bytes(2000), "not a photograph"),
+        (b"Dear diary, today I photographed a wall.\n" * 30, "text file"),
+        (b"%PDF-1.7\n\x80\x81" + bytes(2000), "a PDF document"),
+        (b"\0\0\0\x20ftypisom" + bytes(2000), "a video"),
         (b"PK\x03\x04\0\0" + bytes(2000), "not a photograph"),
         (bytes(100_000), "not a photograph"),
         (b"II*\0\x08\0\0\0", "damaged"),
-        (b"GIF89a" + bytes(100), "not a photograph"),
+        (b"\xff\x0a" + bytes(100), "JPEG XL"),
+        (b"GIF89a" + bytes(100), "GIF"),
     ],
     ids=lambda one: str(one)[:20],
 )
@@ -460,14 +462,16 @@ def test_a_truncated_file_is_refused(tmp_path, whole, form, capfd):
 
 
 def test_unsupported_files_are_not_reported_as_damaged(tmp_path, codes):
-    """Whole files: a JPEG of 12 bits by its frame, TIFFs of rare codings."""
+    """Whole files: a JPEG of 12 bits by its frame, lossless ones, TIFFs of rare codings."""
     Image.fromarray(codes).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()
     frame = data.index(b"\xff\xc0")
-    changed = bytearray(data)
-    changed[frame + 1], changed[frame + 4] = 0xC1, 12
-    (tmp_path / "b.jpg").write_bytes(changed)
-    assert "not supported" in refuse(tmp_path / "b.jpg").what
+    for marker, bits, word in ((0xC1, 12, "12 bits"), (0xC3, 8, "lossless")):
+        changed = bytearray(data)
+        changed[frame + 1], changed[frame + 4] = marker, bits
+        (tmp_path / "b.jpg").write_bytes(changed)
+        error = refuse(tmp_path / "b.jpg")
+        assert word in error.what and "not supported" in error.what
     tifffile.imwrite(tmp_path / "a.tif", codes.astype(np.complex64), photometric="minisblack")
     assert "not supported" in refuse(tmp_path / "a.tif").what
     tifffile.imwrite(tmp_path / "b.tif", codes, photometric="rgb")

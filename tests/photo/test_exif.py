@@ -1,12 +1,13 @@
 """Orientation, field of view and flash, from whatever the tags hold."""
 
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from matcap.errors import UsageError
 from matcap.files.pixels import upright
@@ -90,11 +91,52 @@ def test_focal_plane_resolution_overrides_the_35_mm_focal_length(photo_of, codes
     assert [f"{photo.fov:.1f} taken" in note for note in photo.notes] == ([True] if says else [])
 
 
+XMP = (
+    '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-'
+    'syntax-ns#"><rdf:Description xmlns:tiff="http://ns.adobe.com/tiff/1.0/" xmlns:exif="http://ns.'
+    'adobe.com/exif/1.0/" {}</rdf:RDF></x:xmpmeta>'
+)
+AS_ATTRIBUTES = XMP.format('tiff:Orientation="3" exif:FocalLengthIn35mmFilm="26"/>')
+AS_ELEMENTS = XMP.format(
+    "><tiff:Orientation>3</tiff:Orientation><exif:FocalLengthIn35mmFilm>26</exif:FocalLengthIn35mm"
+    "Film></rdf:Description>"
+)
+
+
+def save_with_xmp(path: Path, codes, xmp: str, **options) -> None:
+    image = Image.fromarray(codes)
+    if path.suffix == ".png":
+        text = PngImagePlugin.PngInfo()
+        text.add_itxt("XML:com.adobe.xmp", xmp, zip="3" not in path.stem)
+        image.save(path, pnginfo=text, **options)
+    elif path.suffix == ".tif":
+        image.save(path, tiffinfo={700: xmp.encode()})
+    else:
+        image.save(path, xmp=xmp.encode(), **options)
+
+
 def test_a_shape_cut_from_a_phones_picture_keeps_its_distance():
     """A whole 4:3 picture, its square middle and its 16:9 strip, from one distance."""
     reach = np.tan(np.radians([phone_fov(*size) / 2.0 for size in [(4, 3), (3, 3), (16, 9)]]))
     np.testing.assert_allclose(reach / reach[0], [1.0, 0.75, 1.0])
     assert phone_fov(3, 4) == phone_fov(4, 3) == pytest.approx(66.0)
+
+
+@pytest.mark.parametrize("xmp", [AS_ATTRIBUTES, AS_ELEMENTS], ids=["attributes", "elements"])
+@pytest.mark.parametrize("form", ["jpg", "png", "tif", "webp"])
+def test_orientation_in_xmp_is_applied(tmp_path, codes, form, xmp):
+    options = {"lossless": True} if form == "webp" else {}
+    save_with_xmp(tmp_path / f"a.{form}", codes, xmp, **options)
+    Image.fromarray(codes).save(tmp_path / f"b.{form}", **options)
+    photo, plain = (load_photo(tmp_path / f"{name}.{form}") for name in "ab")
+    np.testing.assert_array_equal(photo.pixels, plain.pixels[::-1, ::-1])
+    assert photo.fov == pytest.approx(fov_of_film(26, 4, 3)) and plain.fov == pytest.approx(66.0)
+
+
+def test_exif_orientation_overrides_xmp(tmp_path, codes):
+    save_with_xmp(tmp_path / "a.jpg", codes, AS_ATTRIBUTES, exif=exif(1, 30))
+    found = read_exif(tmp_path / "a.jpg")
+    assert (found.orientation, found.film_focal_length) == (1, 30)
 
 
 def test_a_file_without_exif_is_read(tmp_path, codes):
