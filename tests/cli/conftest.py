@@ -61,7 +61,7 @@ class FakePipeline:
     notes: tuple = ()
     failure: BaseException | None = None
 
-    def load_photo(self, path, *, long_side=None, fov=None, noise=True, white=None):
+    def load_photo(self, path, *, long_side=None, fov=None, noise=True, white=None, tone=None):
         self.calls.append(SimpleNamespace(path=Path(path), long_side=long_side, fov=fov))
         return replace(fake_photo(Path(path)), notes=self.notes)
 
