@@ -16,7 +16,6 @@ from matcap.export.job import known_scale
 from matcap.field.material import Material
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import Rectangle, check_seed
-from matcap.space.between import blend, check_blendable
 from matcap.view import level_of_detail as lod
 from matcap.view.level_of_detail import ExampleLevels, ExemplarAverages, NetworkLevels, Planes
 
@@ -83,6 +82,8 @@ class Materials:
 
     def _blend(self, share: float) -> Material:
         if self.second is not None:
+            from matcap.space.between import blend  # loads the decoder's rooms, and torch
+
             return blend(self.first, self.second, share)
         if share != 0.0:
             raise UsageError(
@@ -187,6 +188,8 @@ def open_subject(
         first = Material.load(file).by(read.generator).varied(read.variety)
         if second is None:
             return Materials(first, None, seed)
+        from matcap.space.between import check_blendable
+
         other = Material.load(second)
         check_blendable(first, other)
         return Materials(first, other, seed)
