@@ -80,6 +80,11 @@ class CaptureVerdict:
         if self.rating is Rating.GOOD:
             return f"{self.rating.value}: looks like the photograph{note}"
         worst, place = self.worst, ""
+        if worst.severity <= 1.0:
+            small = [one for one in self.findings[1:] if one.severity > _SLIGHT]
+            listed = "; ".join(one.says for one in sorted(small, key=lambda one: -one.severity))
+            seen = f"{self.rating.value}: several small differences, none of them a fault"
+            return f"{seen}: {listed}{note}."
         if worst.where is not None and worst.name in _IN_TEXTURE:
             left, top, width, height = worst.where
             place = f", most of all {whereabouts(left + width / 2.0, top + height / 2.0)}"

@@ -584,7 +584,8 @@ def test_a_usable_capture_is_told_its_largest_difference():
     verdict = judge(seen)
     assert verdict.rating is Rating.USABLE and max(one.severity for one in findings(seen)) < 1.0
     assert "looks like the photograph" not in verdict.sentence()
-    assert verdict.worst.says in verdict.sentence()
+    assert verdict.worst.says in verdict.sentence() and "none of them a fault" in verdict.sentence()
+    assert "Why" not in verdict.sentence()
 
 
 def test_a_good_photograph_is_not_what_is_wrong():
