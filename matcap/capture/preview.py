@@ -4,7 +4,7 @@ The material's block: panels (photograph, re-rendering, light from two sides, ma
 crops at one pixel per texel. The same panels of the decoder's material, if there are two, and of
 the photographed rectangle, with crops at the same place. Of several photographs: a diagram of
 cameras and flashes, and a block of the whole exemplar if it extends beyond the first photograph;
-and each photograph's prediction by the others.
+and each photograph's prediction from the others.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         ]
         several = result.several
         if several is not None:
-            from matcap.capture.multiview.set_report import draw_foretold, draw_set
+            from matcap.capture.multiview.set_report import draw_predicted, draw_set
 
             maps = map_set_of(result.estimate.exemplar)
             if several.mosaic.margins.any:
@@ -175,8 +175,8 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             blocks.append(titled(drawn, "Cameras and flashes"))
             if several.pictures:
                 turned = result.estimate.turned
-                drawn = draw_foretold(several, blocks[0].width, turned=turned)
-                blocks.append(titled(drawn, "Each photograph, foretold by the others"))
+                drawn = draw_predicted(several, blocks[0].width, turned=turned)
+                blocks.append(titled(drawn, "Each photograph, predicted from the others"))
     blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
 
@@ -195,8 +195,8 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
     if result.choice is not None:
         shown = f"{result.choice.sentence()} {shown}"
     font = ImageFont.load_default(size=20)
-    said = ((f"Verdict: {verdict.sentence()}", _RATED[verdict.rating]), (shown, _INK))
-    lines = [(line, ink) for text, ink in said for line in _wrapped(text, font, width)]
+    paragraphs = ((f"Verdict: {verdict.sentence()}", _RATED[verdict.rating]), (shown, _INK))
+    lines = [(line, ink) for text, ink in paragraphs for line in _wrapped(text, font, width)]
     banner = Image.new("RGB", (width, 20 + 28 * len(lines)), _PAPER)
     draw = ImageDraw.Draw(banner)
     for row, (line, ink) in enumerate(lines):
