@@ -149,8 +149,8 @@ def _captured(
     with clock.stage("read"):
         several = len(groups) > 1
         photo, *more = (read_exposures(group, settings, several=several) for group in groups)
-        said = (f"{other.name}: {note}" for other in more for note in other.notes)
-        photo = replace(photo, notes=(*photo.notes, *said))
+        notes = (f"{other.name}: {note}" for other in more for note in other.notes)
+        photo = replace(photo, notes=(*photo.notes, *notes))
     return capture_photo(photo, settings, others=more, clock=clock)
 
 
