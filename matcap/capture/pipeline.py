@@ -229,10 +229,7 @@ def _latent(rectified: Rectified, settings: CaptureSettings) -> Latent:
 
 
 def clock_of(
-    settings: CaptureSettings,
-    progress: OnCapture | None,
-    photographs: int = 1,
-    spent: float = 0.0,
+    settings: CaptureSettings, progress: OnCapture | None, photographs: int = 1, spent: float = 0.0
 ) -> CaptureClock:
     """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
     by_example = MULTIVIEW_STAGES if photographs > 1 else EXEMPLAR_STAGES

@@ -88,7 +88,6 @@ def _degrees(angles: Sequence[float]) -> list[float]:
 # Such textures are read on half as many texels across, and finer bands are transferred from the
 # photograph (exemplar/detail_transfer.py). Figures in docs/notes/capture.md.
 
-
 UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 
 

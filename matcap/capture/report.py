@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 # Writing the outputs of a capture into its folder, all or none.
 
-
 PREVIEW, REPORT = "preview.png", "report.json"
 
 
@@ -149,7 +148,6 @@ def _confidence_file(name: str) -> str:
 # Reading report.json; report.schema.json is its JSON Schema.
 #
 # Format 1 had other names for some entries.
-
 
 FORMAT, VERSION = "matcap report", 2
 # Entries that matcap reads and that format 1 had under another name: where ("*" is every member),

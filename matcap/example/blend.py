@@ -57,7 +57,6 @@ def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArra
 #
 # Read next: kernel.c, coordinates.py.
 
-
 # By band, finest first, level of the places that nodes read; docs/notes/field.md. Coarser levels
 # save time for coarse bands; more bands blend slower drifts of colour.
 BAND_LEVELS = (0, 0, 0, 0, 2, 3)

@@ -136,11 +136,7 @@ class _MapPlanes:
 @one_thread()
 @torch.no_grad()
 def transport(
-    exemplar: Exemplar,
-    linear: Tensor,
-    valid: Tensor,
-    kept: Tensor,
-    light: PhotographLight,
+    exemplar: Exemplar, linear: Tensor, valid: Tensor, kept: Tensor, light: PhotographLight
 ) -> tuple[Exemplar, Copies | None]:
     """Copy blocks of maps to where specular light hides them (reflectance transport).
 
@@ -336,11 +332,7 @@ def _continued(
 
 
 def _discontinuity(
-    place: tuple[int, int],
-    blocks: BlockPlaces,
-    donor: Floats,
-    seen: Floats,
-    known: TexelMask,
+    place: tuple[int, int], blocks: BlockPlaces, donor: Floats, seen: Floats, known: TexelMask
 ) -> Floats:
     """(N,) mean squared difference of blocks to known texels of a place, over variances of both.
 

@@ -371,11 +371,7 @@ def _started(fit: _Fit, shares: Tensor) -> _Fit:
     # The prior of dielectrics is grey and 0.04, that of conductors what the scan measured.
     base, grey = fit.current.gloss, ~basis.metallic
     base[grey, 0], base[grey, 2:] = DIELECTRIC_F0.mean, 0.0
-    return replace(
-        fit,
-        basis=replace(basis, gloss=base),
-        light=replace(fit.light, gloss=nothing),
-    )
+    return replace(fit, basis=replace(basis, gloss=base), light=replace(fit.light, gloss=nothing))
 
 
 class _Scanned(NamedTuple):

@@ -313,11 +313,7 @@ class PredictedBeyond(NamedTuple):
 
 
 def resampled(
-    prediction: Estimate,
-    own: OwnPlane,
-    alignment: Aligned,
-    number: int,
-    size: tuple[int, int],
+    prediction: Estimate, own: OwnPlane, alignment: Aligned, number: int, size: tuple[int, int]
 ) -> PredictedBeyond:
     """Resample photograph `number`'s prediction from its own plane to the first one's.
 

@@ -35,7 +35,6 @@ from matcap.photo.photo import standing
 #
 # This needs no ground truth, as maps of the others are not fitted to the photograph left out.
 
-
 # Settings of the leave-one-out solves; docs/notes/several.md.
 _ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
 # Steps per texel in each round (solve.ROUNDS) of the solutions without one photograph, which start

@@ -23,7 +23,6 @@ from matcap.flash.least_squares import huber, jacobian, minimised
 # other one. The Huber cost of reprojection errors is minimised (flash/least_squares.py); the
 # residuals of a photograph depend on its six pose parameters and the common ones only.
 
-
 _HUBER = 1.0  # threshold of the Huber loss, pixels
 # Largest effective number of a photograph's matches, as the parallax of relief is correlated
 # between neighbours.
@@ -220,7 +219,6 @@ def _initial_pose(first: PosedCamera, pair: Pair) -> Doubles:
 # a plane at that depth gives the same ones; its standard deviation is taken from the apparent
 # depths of single features. It is a consider parameter: in the covariance, but not estimated
 # [schmidt1966].
-
 
 # Prior standard deviations and noise model; docs/notes/several.md.
 # Standard deviation of the features' common apparent depth over that of single ones.

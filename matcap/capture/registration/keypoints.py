@@ -29,7 +29,6 @@ from matcap.photo.photo import Photo
 # matches. Textures repeat, so mutual nearest neighbours are matched with a loose ratio test (0.95),
 # and a homography selects the consistent ones.
 
-
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 # Settings of detection and matching.
@@ -234,7 +233,6 @@ def is_periodic(photo: Photo) -> bool:
 #
 # Sharpness is the ratio of the amplitudes of the finest band and of a band of four times the
 # wavelength: defocus and motion lower it, light hardly affects it.
-
 
 ChannelPlane = NDArray[np.float32]
 

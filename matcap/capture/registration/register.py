@@ -179,10 +179,7 @@ class _Fitted:
 
     @staticmethod
     def of(
-        photos: Sequence[Photo],
-        setup: FlashSetup,
-        pairs: Mapping[int, Pair],
-        dark: Container[int],
+        photos: Sequence[Photo], setup: FlashSetup, pairs: Mapping[int, Pair], dark: Container[int]
     ) -> _Fitted:
         """Fit the cameras of matched photographs."""
         known = photos[0].fov_source != "assumed"

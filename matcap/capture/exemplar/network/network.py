@@ -31,7 +31,6 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 # features, uniform and weighted by the sensitivity to slope and by gloss, scale and shift the
 # features of the decoder (FiLM [perez2018]).
 
-
 _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
@@ -306,7 +305,6 @@ def load_inverse() -> Inverse:
 # setup (the coarse fit), and the setup as its sensitivities: the derivatives of log radiance by
 # slope and by roughness at every texel. So one network serves every field of view, flash and tilt.
 # Heights are in texels, so slopes are rise over run at any resolution.
-
 
 MOST_RESIDUAL = 3.0  # log radiance; residuals are clipped to +-this
 _STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
