@@ -215,8 +215,7 @@ def _wrapped(
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Panels of a material, over a rectangle as large as the photograph."""
     marked = None if result.verdict.rating is Rating.GOOD else result.verdict.worst.where
-    photograph = _developed("photograph", result, result.rectified)
-    yield replace(photograph, hidden=_hidden(result), marked=marked)
+    yield replace(_photograph(result), marked=marked)
     yield replace(_developed("re-rendered", result, result.rerendered), marked=marked)
     yield from lit_panels(result.maps, result.rerendered, result.material.setup)
 
@@ -228,11 +227,11 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
     whole, close = _under_flash(maps, setup)
-    hidden = _hidden(result)
-    yield replace(_developed("photograph", result, result.rectified), hidden=hidden)
-    yield replace(_developed("re-rendered", result, whole, close), hidden=hidden)
-    for panel in lit_panels(maps, whole, setup):
-        yield replace(panel, hidden=hidden)
+    photograph = _photograph(result)
+    yield photograph
+    shown = (_developed("re-rendered", result, whole, close), *lit_panels(maps, whole, setup))
+    for panel in shown:
+        yield replace(panel, hidden=photograph.hidden)
 
 
 def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
@@ -244,16 +243,16 @@ def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
 
     with torch.inference_mode():
         rerendered = picture_of(render_rectified(maps, result.material.setup))
-    photograph = _developed("photograph", result, result.rectified)
-    yield replace(photograph, hidden=_hidden(result))
+    yield _photograph(result)
     yield _developed("re-rendered", result, rerendered)
     yield from lit_panels(maps, rerendered, result.material.setup)
 
 
-def _hidden(result: CaptureResult) -> NDArray[np.bool_] | None:
-    """(H, W) texels that the photograph does not show, or None."""
+def _photograph(result: CaptureResult) -> Panel:
+    """Panel of the photograph, the texels that it does not show hatched."""
     kept = None if result.estimate is None else result.estimate.kept
-    return None if kept is None else ~kept
+    shown = _developed("photograph", result, result.rectified)
+    return shown if kept is None else replace(shown, hidden=~kept)
 
 
 def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:

@@ -185,7 +185,9 @@ class Nodes:
             unit: nodes are at multiples of this, texels.
             period: texels, a multiple of the unit, or None.
         """
-        whole, count = (spacing, 1) if period is None else (period, _times(period, spacing))
+        whole, count = spacing, 1
+        if period is not None:
+            whole, count = period, max(1, (2 * period + spacing) // (2 * spacing))
         # Texel p is p * count / whole nodes from node 0, computed in integers.
         begin, rest = divmod(2 * start * count + whole, 2 * whole)
         steps = rest + 2 * count * np.arange(length)
@@ -197,10 +199,6 @@ class Nodes:
             [0.5 * (0.5 - fraction) ** 2, 0.75 - fraction**2, 0.5 * (0.5 + fraction) ** 2], axis=-1
         )
         return Nodes(at, nearest.astype(np.int32), weights.astype(np.float32))
-
-
-def _times(period: int, spacing: int) -> int:
-    return max(1, (2 * period + spacing) // (2 * spacing))
 
 
 @dataclass(frozen=True)

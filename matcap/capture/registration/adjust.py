@@ -242,9 +242,7 @@ class CameraDeviations:
 def camera_deviations(fit: Adjusted, pairs: Sequence[Pair]) -> CameraDeviations:
     """Standard deviations of camera positions and of the photographs' registration.
 
-    Args:
-        fit: cameras after bundle adjustment.
-        pairs: the matches they were fitted to.
+    `fit` are cameras after bundle adjustment to `pairs`.
     """
     bundle = replace(fit.bundle, pairs=pairs, relief=RELIEF)
     covariance, positions, misregistration = _covariance(bundle, fit.parameters), [], []
