@@ -380,12 +380,7 @@ def _finite(value: object) -> object:
 def refuse_to_replace_longer_capture(
     folder: Path, settings: CaptureSettings, photographs: int
 ) -> None:
-    """Raise if a folder has a capture of more photographs, texels or steps.
-
-    Args:
-        folder: output folder of the new capture.
-        settings: of the new capture.
-        photographs: number of its photographs.
+    """Raise if a folder has a capture of more photographs, texels or steps than a new one.
 
     Raises:
         MatcapError: states the old effort and names --overwrite.

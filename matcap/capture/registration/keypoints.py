@@ -249,9 +249,6 @@ def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[floa
     """Correlation of the fine texture of each photograph but the first with it, over their overlap.
 
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
-
-    Args:
-        seen: photographs with their cameras.
     """
     rows, columns = seen[0][0].pixels.shape[:2]
     (texture, inside), *others = (
