@@ -221,11 +221,11 @@ class Batch:
 def _of_death(photo: Path, code: int) -> work.Failure:
     """Why a worker has died: SIGKILL is taken for the system's out-of-memory killer."""
     if code == -signal.SIGKILL:
-        said = f"{photo}: the system killed the worker, probably because memory ran out"
-        return work.Failure("memory", f"{said}; lower --detail, --size or -j.")
+        message = f"{photo}: the system killed the worker, probably because memory ran out"
+        return work.Failure("memory", f"{message}; lower --detail, --size or -j.")
     how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
-    said = f"{photo}: the worker process crashed ({how})"
-    return work.Failure("crash", f"{said}; report it, with the photograph.")
+    message = f"{photo}: the worker process crashed ({how})"
+    return work.Failure("crash", f"{message}; report it, with the photograph.")
 
 
 def exit_code(entries: Sequence[work.BatchEntry], *, strict: bool = False) -> ExitCode:
@@ -282,14 +282,14 @@ def prepare(
 def group_sentences(samples: Sequence[ShotSample]) -> list[str]:
     """Sentences that list the groups of photographs that become one material each."""
     sets = [sample for sample in samples if len(sample.photos) > 1]
-    said = [
+    lines = [
         f"{sample.name}: {len(sample.photos)} photographs of one sample "
         f"({', '.join(photo.name for photo in sample.photos)})."
         for sample in sets[:_SETS_SAID]
     ]
     if len(sets) > _SETS_SAID:
-        said.append(f"And {len(sets) - _SETS_SAID} more groups; --dry-run lists all.")
-    return [*said, "If they show different samples, use --group none."] if sets else []
+        lines.append(f"And {len(sets) - _SETS_SAID} more groups; --dry-run lists all.")
+    return [*lines, "If they show different samples, use --group none."] if sets else []
 
 
 def _cards(source: Path, wanted: str, out: Path) -> list[Path]:

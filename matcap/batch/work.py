@@ -376,8 +376,8 @@ def do_job(job: BatchJob, on_progress: OnProgress) -> dict[str, Any] | Failure:
     except Exception as error:
         if _is_no_memory(error):
             return Failure("memory", _no_memory(job))
-        said = f"{job.photos[0]}: internal error ({type(error).__name__}: {error})"
-        return Failure("crash", f"{said}; report it, with the photograph.")
+        message = f"{job.photos[0]}: internal error ({type(error).__name__}: {error})"
+        return Failure("crash", f"{message}; report it, with the photograph.")
 
 
 def _fault(error: MatcapError) -> Fault:
@@ -436,14 +436,14 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
     from matcap.capture.report import warnings
 
     verdict = result.verdict
-    said = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
-    said += warnings(result)
+    warned = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
+    warned += warnings(result)
     if job.detail != job.settings.capture.most_detail:
-        said.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
+        warned.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
         doubts = [f.line() for f in inspection.findings if not f.rating.fit]
-        said += [f"{of}{doubt}" for doubt in doubts]
+        warned += [f"{of}{doubt}" for doubt in doubts]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,
@@ -455,7 +455,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],
         "clipped": round(result.photo.clipped_share, 5),
         "doubtful": not (verdict.fit and all(one.rating.fit for one in looked_at)),
-        "warnings": list(dict.fromkeys(said)),
+        "warnings": list(dict.fromkeys(warned)),
         "notes": list(result.photo.remarks),
         "inspection": [inspection.document() for inspection in looked_at],
         "albedo": "absolute" if result.photo.flash_intensity is not None else "relative",

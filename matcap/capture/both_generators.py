@@ -129,7 +129,6 @@ def _at_resolution(rectified: Rectified, drawing: Drawing) -> Plane:
 # are, and compared with these by texture statistics of random filters other than those that the
 # decoder is fine-tuned by.
 
-
 _BANK = FilterBankConfig(sizes=(3, 7), filters=24, seed=7)
 _COMPARED = 24  # windows
 _AT_ONCE = 4  # windows

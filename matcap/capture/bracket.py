@@ -33,7 +33,7 @@ from matcap.errors import MatcapError
 from matcap.files.color import srgb_slope
 from matcap.files.containers import FileKind
 from matcap.files.process import quiet_decoders
-from matcap.photo.exif import read_exif
+from matcap.photo.exif import Exif, read_exif
 from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.load import file_kind, load_photo
 from matcap.photo.photo import FULL, Photo, ToneCurve
@@ -98,26 +98,16 @@ def find_brackets(paths: Sequence[Path], *, fov: float | None = None) -> list[tu
     return [tuple(paths[number] for number in group) for group in groups]
 
 
-@dataclass(frozen=True)
-class _Stated:
-    """What a file says without its pixels."""
-
-    exposure: float | None
-    camera: str
-    fired: bool | None
-
-
-def _stated(path: Path) -> _Stated:
+def _stated(path: Path) -> Exif:
     try:
-        exif = read_exif(path)
+        return read_exif(path)
     except OSError:
-        return _Stated(None, "", None)
-    return _Stated(exif.exposure, exif.camera, exif.flash_fired)
+        return Exif()
 
 
-def _may_belong(own: _Stated, other: _Stated) -> bool:
+def _may_belong(own: Exif, other: Exif) -> bool:
     """Whether metadata allows that two photographs belong to a bracket."""
-    if own.camera != other.camera or (own.fired is False) != (other.fired is False):
+    if own.camera != other.camera or (own.flash_fired is False) != (other.flash_fired is False):
         return False
     if own.exposure is None or other.exposure is None:
         return True
@@ -155,13 +145,7 @@ class _Aligned:
     @cached_property
     def glint_reach(self) -> int:
         """Pixels by which glints may be elsewhere than in the first photograph."""
-        distance = 0.5 / math.tan(math.radians(self.photo.fov) / 2.0)
-        return _GLINT_WIDTH + math.ceil(self.way * distance * self.pixels.shape[1])
-
-    @cached_property
-    def grey(self) -> Picture:
-        """(H, W) mean of its channels."""
-        return np.asarray(self.pixels.mean(axis=2), np.float32)
+        return _GLINT_WIDTH + math.ceil(self.way * _focal(self.photo.fov) * self.pixels.shape[1])
 
     @property
     def tones(self) -> Tones:
@@ -364,19 +348,22 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
     if any(b - a < _LEAST_DARKER for a, b in zip(medians, medians[1:], strict=False)):
         return None
     shape = photos[0].pixels.shape[:2]
-    views = [_itself(photos[0])]
+    first, how = photos[0], cv2.INTER_CUBIC
     if sampled:
-        rows, columns = shape
+        (rows, columns), how = shape, cv2.INTER_NEAREST
         shape = (round(rows * min(1.0, _COLUMNS / columns)), min(columns, _COLUMNS))
-        views = [_resampled(photos[0], np.eye(3), shape, cv2.INTER_NEAREST)]
-    how = cv2.INTER_NEAREST if sampled else cv2.INTER_CUBIC
+        views = [_resampled(first, np.eye(3), shape, how)]
+    else:
+        near, inside = _spread_clipping(first) > 0.05, np.ones(shape, np.bool_)
+        views = [_Aligned(first, first.pixels, inside, first.clipped, near, first.noise)]
     for photo in photos[1:]:
-        homography = alignment(photos[0], photo)
-        if homography is None or (way := way_of_camera(homography, photos[0], photo)) > _NEAR:
+        homography = alignment(first, photo)
+        if homography is None or (way := way_of_camera(homography, first, photo)) > _NEAR:
             return None
         view = _resampled(photo, homography, shape, how)
         views.append(replace(view, way=way))
-    order = sorted(range(len(views)), key=lambda number: -float(np.median(views[number].grey)))
+    levels = [float(np.median(view.pixels.mean(axis=2))) for view in views]
+    order = sorted(range(len(views)), key=lambda number: -levels[number])
     factors, curve = {order[0]: 1.0}, None
     for brighter, darker in zip(order, order[1:], strict=False):
         ratio = _ratio(views[brighter], views[darker], curve)
@@ -427,8 +414,8 @@ def alignment(first: Photo, second: Photo) -> Matrix | None:
     places = _tiles(seen)
     if len(places) < _LEAST_TILES:
         return None
-    best = max((_refined(fixed, moving, places, start) for start in starts), key=lambda r: r[1])
-    homography, agreeing = best
+    refined = (_refined(fixed, moving, places, start) for start in starts)
+    homography, agreeing = max(refined, key=lambda result: result[1])
     if agreeing < max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
         return _turned(first, second)
     units = np.diag([columns, columns, 1.0])
@@ -448,9 +435,8 @@ def _turned(first: Photo, second: Photo) -> Matrix | None:
     if correlation[0] < _LEAST_WHOLE:
         return None
     across, down = shifts[0] / columns
-    focal = 0.5 / math.tan(math.radians(first.fov) / 2.0)
-    lens = np.array([[focal, 0.0, 0.5], [0.0, focal, rows / columns / 2.0], [0.0, 0.0, 1.0]])
-    turn, _ = cv2.Rodrigues(np.array([-down, across, 0.0]) / focal)
+    lens = _lens(first.fov, rows / columns)
+    turn, _ = cv2.Rodrigues(np.array([-down, across, 0.0]) / lens[0, 0])
     return np.asarray(lens @ turn @ np.linalg.inv(lens))
 
 
@@ -520,21 +506,28 @@ def _tiles(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 def _whole(contrast: Picture) -> Picture:
     """(1, h, _WHOLE) all of a picture's contrast."""
-    rows = round(_WHOLE * contrast.shape[0] / contrast.shape[1])
-    rows = 2 * (rows // 2)
+    rows = 2 * (round(_WHOLE * contrast.shape[0] / contrast.shape[1]) // 2)
     return area_averaged(contrast, (_WHOLE, rows))[None]
 
 
 def way_of_camera(homography: Matrix, first: Photo, second: Photo) -> float:
     """Way of the camera between two photographs, over the distance of the plane."""
-    sides = [photo.pixels.shape[0] / photo.pixels.shape[1] for photo in (first, second)]
-    focal = [0.5 / math.tan(math.radians(photo.fov) / 2.0) for photo in (first, second)]
-    lens = [
-        np.array([[f, 0.0, 0.5], [0.0, f, side / 2.0], [0.0, 0.0, 1.0]])
-        for f, side in zip(focal, sides, strict=True)
-    ]
-    values = np.linalg.svd(np.linalg.inv(lens[1]) @ homography @ lens[0], compute_uv=False)
+    lens, second_lens = (
+        _lens(photo.fov, photo.pixels.shape[0] / photo.pixels.shape[1]) for photo in (first, second)
+    )
+    values = np.linalg.svd(np.linalg.inv(second_lens) @ homography @ lens, compute_uv=False)
     return float((values[0] - values[2]) / values[1])
+
+
+def _lens(fov: float, side: float) -> Matrix:
+    """(3, 3) calibration of a camera in units of its picture's width, `side` being its height."""
+    focal = _focal(fov)
+    return np.array([[focal, 0.0, 0.5], [0.0, focal, side / 2.0], [0.0, 0.0, 1.0]])
+
+
+def _focal(fov: float) -> float:
+    """Focal length in widths of the picture."""
+    return 0.5 / math.tan(math.radians(fov) / 2.0)
 
 
 def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
@@ -544,17 +537,9 @@ def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
     grey = area_averaged(photo.pixels, size).mean(axis=2)
     full = area_averaged(photo.clipped.astype(np.float32), size)
     seen = cv2.erode((full < CLIPPED_SHARE).astype(np.uint8), np.ones((5, 5), np.uint8))
-    dark = grey < 1e-4
-    usable = (seen > 0) & ~dark
+    usable = (seen > 0) & (grey >= 1e-4)
     contrast = np.where(usable, normalise_contrast(grey).astype(np.float32) - _LEVEL, 0.0)
     return np.asarray(contrast, np.float32), usable
-
-
-def _itself(photo: Photo) -> _Aligned:
-    inside = np.ones(photo.clipped.shape, np.bool_)
-    return _Aligned(
-        photo, photo.pixels, inside, photo.clipped, _spread_clipping(photo) > 0.05, photo.noise
-    )
 
 
 def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...], how: int) -> _Aligned:

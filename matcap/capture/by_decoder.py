@@ -31,7 +31,6 @@ from matcap.statistics.compare import FilterBank
 
 # Texture statistics of windows of photographs, the target of optimisation.
 
-
 _WINDOW_STEP = 16  # texels: sides of windows are multiples of this, the decoder's alignment
 
 
@@ -100,11 +99,7 @@ def capture_by_decoder(
         if drawing is not None:  # it shows the lattice already, with the exemplar's phases
             target = replace(target, waves=())
         window_distance = self_difference(target.windows, target.weights)
-        tune = TuneSettings(
-            steps=effort.steps,
-            places=effort.places,
-            seed=settings.seed,
-        )
+        tune = TuneSettings(steps=effort.steps, places=effort.places, seed=settings.seed)
     start = _start(rectified, settings, target, tune, clock)
     target = replace(target, drawing=drawing)
     decoder, tuned = tuned_decoder(plane.texel_size, start, target, tune, clock, window_distance)

@@ -34,7 +34,6 @@ from matcap.photo.photo import FULL, Photo
 
 # Inspection of a photograph before capture: its quality, highlight, relief and tilt.
 
-
 _MOSTLY = 0.25  # clipped share of a highlight from which its strength is not measured
 _CORE = 1.5  # severity of that, of the photograph: its maps may look right under the flash
 _FEWEST, _MOST = 2, 6  # stops by which another exposure is darker
@@ -53,10 +52,7 @@ class InspectedPhotograph:
 
 
 def inspect_file(
-    path: Path,
-    detail: int,
-    fov: float | None = None,
-    white: float | None = None,
+    path: Path, detail: int, fov: float | None = None, white: float | None = None
 ) -> InspectedPhotograph:
     """Inspect a photograph after the same reading and coarse fit as in a capture.
 
@@ -147,7 +143,6 @@ def _darker(coarse: CoarseFit, limit: float) -> str:
 #
 # Photographs are registered as in a capture, but no maps are estimated. Directions are those of the
 # first photograph as displayed.
-
 
 _GRID = 64  # points across the grid on which coverage is determined
 

@@ -149,8 +149,8 @@ def _captured(
     with clock.stage("read"):
         several = len(groups) > 1
         photo, *more = (read_exposures(group, settings, several=several) for group in groups)
-        said = (f"{other.name}: {note}" for other in more for note in other.notes)
-        photo = replace(photo, notes=(*photo.notes, *said))
+        notes = (f"{other.name}: {note}" for other in more for note in other.notes)
+        photo = replace(photo, notes=(*photo.notes, *notes))
     return capture_photo(photo, settings, others=more, clock=clock)
 
 
@@ -229,10 +229,7 @@ def _latent(rectified: Rectified, settings: CaptureSettings) -> Latent:
 
 
 def clock_of(
-    settings: CaptureSettings,
-    progress: OnCapture | None,
-    photographs: int = 1,
-    spent: float = 0.0,
+    settings: CaptureSettings, progress: OnCapture | None, photographs: int = 1, spent: float = 0.0
 ) -> CaptureClock:
     """Clock of a capture of a number of photographs; its last stage, `write`, is the caller's."""
     by_example = MULTIVIEW_STAGES if photographs > 1 else EXEMPLAR_STAGES

@@ -4,7 +4,7 @@ The material's block: panels (photograph, re-rendering, light from two sides, ma
 crops at one pixel per texel. The same panels of the decoder's material, if there are two, and of
 the photographed rectangle, with crops at the same place. Of several photographs: a diagram of
 cameras and flashes, and a block of the whole exemplar if it extends beyond the first photograph;
-and each photograph's prediction by the others.
+and each photograph's prediction from the others.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         ]
         several = result.several
         if several is not None:
-            from matcap.capture.multiview.set_report import draw_foretold, draw_set
+            from matcap.capture.multiview.set_report import draw_predicted, draw_set
 
             maps = map_set_of(result.estimate.exemplar)
             if several.mosaic.margins.any:
@@ -175,8 +175,8 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
             blocks.append(titled(drawn, "Cameras and flashes"))
             if several.pictures:
                 turned = result.estimate.turned
-                drawn = draw_foretold(several, blocks[0].width, turned=turned)
-                blocks.append(titled(drawn, "Each photograph, foretold by the others"))
+                drawn = draw_predicted(several, blocks[0].width, turned=turned)
+                blocks.append(titled(drawn, "Each photograph, predicted from the others"))
     blocks.insert(0, _headline(result, blocks[0].width))
     return stacked(blocks)
 
@@ -195,8 +195,8 @@ def _headline(result: CaptureResult, width: int) -> Image.Image:
     if result.choice is not None:
         shown = f"{result.choice.sentence()} {shown}"
     font = ImageFont.load_default(size=20)
-    said = ((f"Verdict: {verdict.sentence()}", _RATED[verdict.rating]), (shown, _INK))
-    lines = [(line, ink) for text, ink in said for line in _wrapped(text, font, width)]
+    paragraphs = ((f"Verdict: {verdict.sentence()}", _RATED[verdict.rating]), (shown, _INK))
+    lines = [(line, ink) for text, ink in paragraphs for line in _wrapped(text, font, width)]
     banner = Image.new("RGB", (width, 20 + 28 * len(lines)), _PAPER)
     draw = ImageDraw.Draw(banner)
     for row, (line, ink) in enumerate(lines):
@@ -215,8 +215,7 @@ def _wrapped(
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Panels of a material, over a rectangle as large as the photograph."""
     marked = None if result.verdict.rating is Rating.GOOD else result.verdict.worst.where
-    photograph = _developed("photograph", result, result.rectified)
-    yield replace(photograph, hidden=_hidden(result), marked=marked)
+    yield replace(_photograph(result), marked=marked)
     yield replace(_developed("re-rendered", result, result.rerendered), marked=marked)
     yield from lit_panels(result.maps, result.rerendered, result.material.setup)
 
@@ -228,11 +227,11 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
     whole, close = _under_flash(maps, setup)
-    hidden = _hidden(result)
-    yield replace(_developed("photograph", result, result.rectified), hidden=hidden)
-    yield replace(_developed("re-rendered", result, whole, close), hidden=hidden)
-    for panel in lit_panels(maps, whole, setup):
-        yield replace(panel, hidden=hidden)
+    photograph = _photograph(result)
+    yield photograph
+    shown = (_developed("re-rendered", result, whole, close), *lit_panels(maps, whole, setup))
+    for panel in shown:
+        yield replace(panel, hidden=photograph.hidden)
 
 
 def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
@@ -244,16 +243,16 @@ def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
 
     with torch.inference_mode():
         rerendered = picture_of(render_rectified(maps, result.material.setup))
-    photograph = _developed("photograph", result, result.rectified)
-    yield replace(photograph, hidden=_hidden(result))
+    yield _photograph(result)
     yield _developed("re-rendered", result, rerendered)
     yield from lit_panels(maps, rerendered, result.material.setup)
 
 
-def _hidden(result: CaptureResult) -> NDArray[np.bool_] | None:
-    """(H, W) texels that the photograph does not show, or None."""
+def _photograph(result: CaptureResult) -> Panel:
+    """Panel of the photograph, the texels that it does not show hatched."""
     kept = None if result.estimate is None else result.estimate.kept
-    return None if kept is None else ~kept
+    shown = _developed("photograph", result, result.rectified)
+    return shown if kept is None else replace(shown, hidden=~kept)
 
 
 def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:

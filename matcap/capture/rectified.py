@@ -12,11 +12,10 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.network.network import MOST_RESIDUAL, SUBSAMPLING
+from matcap.capture.exemplar.network.network import MOST_RESIDUAL, SUBSAMPLING, resized
 from matcap.capture.settings import DETAIL
 from matcap.field.source import one_thread
 from matcap.flash.alignment import tilt_measurement
@@ -87,7 +86,6 @@ def _degrees(angles: Sequence[float]) -> list[float]:
 # and the compared windows have 160; structure of longer wavelength is lost (wood becomes sawdust).
 # Such textures are read on half as many texels across, and finer bands are transferred from the
 # photograph (exemplar/detail_transfer.py). Figures in docs/notes/capture.md.
-
 
 UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 
@@ -218,12 +216,9 @@ def fill_masked(plane: Plane, uniform: Uniform) -> Plane:
         return plane
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-    size = [max(2, -(-side // SUBSAMPLING)) for side in (height, width)]
-    thin = F.interpolate(points[None], size=size, mode="bilinear", align_corners=True)[0]
-    radiance = uniform_radiance(uniform, FlashLight.of(uniform.setup, thin))[0]
-    flat = F.interpolate(radiance[None], size=[height, width], mode="bilinear", align_corners=True)[
-        0
-    ].clamp_min(1e-6)
+    size = tuple(max(2, -(-side // SUBSAMPLING)) for side in (height, width))
+    light = FlashLight.of(uniform.setup, resized(points, size))
+    flat = resized(uniform_radiance(uniform, light)[0], (height, width)).clamp_min(1e-6)
     rows, columns = (torch.from_numpy(at) for at in mirrored(plane.left_out.numpy()))
     shown = plane.linear[:, rows, columns] * (flat / flat[:, rows, columns])
     return replace(plane, linear=torch.where(plane.left_out, shown, plane.linear))

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 # Writing the outputs of a capture into its folder, all or none.
 
-
 PREVIEW, REPORT = "preview.png", "report.json"
 
 
@@ -149,7 +148,6 @@ def _confidence_file(name: str) -> str:
 # Reading report.json; report.schema.json is its JSON Schema.
 #
 # Format 1 had other names for some entries.
-
 
 FORMAT, VERSION = "matcap report", 2
 # Entries that matcap reads and that format 1 had under another name: where ("*" is every member),
@@ -382,12 +380,7 @@ def _finite(value: object) -> object:
 def refuse_to_replace_longer_capture(
     folder: Path, settings: CaptureSettings, photographs: int
 ) -> None:
-    """Raise if a folder has a capture of more photographs, texels or steps.
-
-    Args:
-        folder: output folder of the new capture.
-        settings: of the new capture.
-        photographs: number of its photographs.
+    """Raise if a folder has a capture of more photographs, texels or steps than a new one.
 
     Raises:
         MatcapError: states the old effort and names --overwrite.

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 # default and docstring from its field (files/settings.py). Variants for experiments: `Method` in
 # rectified.py.
 
-
 # Texels along the long side; docs/notes/capture.md compares quality and time.
 QUICK_DETAIL = 512
 DETAIL = 1024

@@ -39,10 +39,7 @@ def slowness() -> float:
 def within_time(settings: CaptureSettings, photographs: int, slower: float) -> CaptureSettings:
     """Settings of a capture that keeps its time limit: the detail that fits into it.
 
-    Args:
-        settings: of the user.
-        photographs: of the sample.
-        slower: `slowness` of this machine.
+    `photographs` are those of the sample, `slower` is the `slowness` of this machine.
 
     Raises:
         UsageError: the limit is shorter than the shortest capture.

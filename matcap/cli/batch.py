@@ -112,9 +112,9 @@ def _print_results(entries: Sequence[BatchEntry], out: Path, *, as_json: bool, q
     counts = Counter(entry.state for entry in entries)
     doubtful = [entry.sample.name for entry in entries if entry.record.get("doubtful")]
     if not quiet:
-        said = [f"{counts['made']} made", f"{counts['kept']} done before"]
-        said += [f"{counts[state]} {state}" for state in ("failed", "left") if counts[state]]
-        typer.echo(f"{', '.join(said)}; see {out / 'index.html'}", err=True)
+        counted = [f"{counts['made']} made", f"{counts['kept']} done before"]
+        counted += [f"{counts[state]} {state}" for state in ("failed", "left") if counts[state]]
+        typer.echo(f"{', '.join(counted)}; see {out / 'index.html'}", err=True)
         if doubtful:
             more = f" and {len(doubtful) - 8} more" if len(doubtful) > 8 else ""
             names = f"{', '.join(doubtful[:8])}{more}"

@@ -230,8 +230,8 @@ class BatchDisplay(_Shown):
                 verdict = record["verdict"]["rating"]
                 doubt = ", doubtful shot" if record["doubtful"] and Rating(verdict).fit else ""
                 left = self._left()
-                said = f"{count}{name}: {spoken_duration(record['seconds'])}, {verdict}{doubt}"
-                self._say(f"{said}{f', {left}' if left else ''}")
+                line = f"{count}{name}: {spoken_duration(record['seconds'])}, {verdict}{doubt}"
+                self._say(f"{line}{f', {left}' if left else ''}")
         elif entry.state == "failed":
             self._say(f"{count}{name}: failed")
 

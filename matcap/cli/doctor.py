@@ -81,8 +81,8 @@ def as_text(report: dict[str, Any]) -> str:
     ]
     for extra, parts in report["extras"].items():
         missing = "" if all(parts.values()) else f'; not installed: pip install "matcap[{extra}]"'
-        said = ", ".join(f"{name} {has or '-'}" for name, has in parts.items())
-        lines.append(f"extra {extra}: {said}{missing}")
+        listed = ", ".join(f"{name} {has or '-'}" for name, has in parts.items())
+        lines.append(f"extra {extra}: {listed}{missing}")
     if report["self_test"] is not None:
         test = report["self_test"]
         lines.append(f"self-test: {test['fault'] or 'ok'}, {test['seconds']:.1f} s")

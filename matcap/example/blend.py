@@ -57,7 +57,6 @@ def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArra
 #
 # Read next: kernel.c, coordinates.py.
 
-
 # By band, finest first, level of the places that nodes read; docs/notes/field.md. Coarser levels
 # save time for coarse bands; more bands blend slower drifts of colour.
 BAND_LEVELS = (0, 0, 0, 0, 2, 3)
@@ -186,7 +185,9 @@ class Nodes:
             unit: nodes are at multiples of this, texels.
             period: texels, a multiple of the unit, or None.
         """
-        whole, count = (spacing, 1) if period is None else (period, _times(period, spacing))
+        whole, count = spacing, 1
+        if period is not None:
+            whole, count = period, max(1, (2 * period + spacing) // (2 * spacing))
         # Texel p is p * count / whole nodes from node 0, computed in integers.
         begin, rest = divmod(2 * start * count + whole, 2 * whole)
         steps = rest + 2 * count * np.arange(length)
@@ -198,10 +199,6 @@ class Nodes:
             [0.5 * (0.5 - fraction) ** 2, 0.75 - fraction**2, 0.5 * (0.5 + fraction) ** 2], axis=-1
         )
         return Nodes(at, nearest.astype(np.int32), weights.astype(np.float32))
-
-
-def _times(period: int, spacing: int) -> int:
-    return max(1, (2 * period + spacing) // (2 * spacing))
 
 
 @dataclass(frozen=True)

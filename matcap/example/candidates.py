@@ -24,7 +24,6 @@ from matcap.files.color import LUMINANCE
 # luminance: metals have their colour in F0, dielectrics in the albedo, so that four planes
 # distinguish both.
 
-
 # Features of an exemplar's planes; docs/notes/field.md.
 UNIT = 32.0  # steps per standard deviation; four deviations fit into LIMIT
 # Lower limit of a plane's standard deviation, in the plane's unit; below it the plane is not
@@ -130,7 +129,6 @@ def _difference(values: NDArray[np.float32], out: NDArray[np.float32]) -> None:
 # components. Basis and features are integers of 7 bits plus sign, so that sums are integers below
 # 2^24, exact whatever their order.
 
-
 # Appearance vectors; docs/notes/field.md.
 _FALL_OFF = 8.0  # f of the neighbourhood's weights exp(-r^2 / f), in squared steps
 _SAMPLES = 20_000  # neighbourhoods that the PCA is computed from
@@ -231,7 +229,6 @@ def _tap_weights() -> NDArray[np.float64]:
 # [barnes2009], the shifted candidates of its neighbours in the image. Directions are hashes and
 # distances integers, so that the result is the same on every machine.
 
-
 # The search for candidates; docs/notes/field.md.
 _ROUNDS = 4  # more find better candidates and take longer
 _LINES = 2  # random directions in a round
@@ -253,11 +250,7 @@ class Candidates:
     """(H, W) squared difference of appearance."""
 
 
-def find_candidates(
-    appearance: Appearance,
-    gap: int,
-    allowed: tuple[slice, slice],
-) -> Candidates:
+def find_candidates(appearance: Appearance, gap: int, allowed: tuple[slice, slice]) -> Candidates:
     """For each place the most similar place at least `gap` grid steps away along x or y.
 
     Args:
@@ -399,7 +392,6 @@ def grids_of(features: FeatureMap, count: int) -> list[FeatureMap]:
 
 
 # Sizes of the patches that a field's coarsest level is laid from, by its variety.
-
 
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _PATCH = 128  # side of the smallest patches, texels

@@ -111,16 +111,12 @@ def margin(passes: int) -> int:
 # Unlike Lefebvre and Hoppe, no level is jittered: that would break up structure of more than some
 # ten texels, and does not reduce repetition (docs/notes/field.md).
 
-
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _PASSES = (1, 2)  # of correction at the finest level, and at every coarser one
 
 
 def coordinates(
-    lookup: Lookup,
-    seed: int,
-    wanted: Mapping[int, Rectangle],
-    period: Period | None,
+    lookup: Lookup, seed: int, wanted: Mapping[int, Rectangle], period: Period | None
 ) -> dict[int, Places]:
     """Synthesise places of some levels.
 
@@ -272,12 +268,7 @@ def _in_phase(
 
 
 def _ideal_phases(
-    lookup: Lookup,
-    seed: int,
-    depth: int,
-    columns: Integers,
-    rows: Integers,
-    period: Period | None,
+    lookup: Lookup, seed: int, depth: int, columns: Integers, rows: Integers, period: Period | None
 ) -> Phases | None:
     """(rows, columns, 2) phases of the ideal lattice, or None where the level does not use them."""
     if lookup.lattice is None or lookup.levels[depth].phases is None:

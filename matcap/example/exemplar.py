@@ -56,10 +56,9 @@ def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDA
 #
 # NumPy only, so that the field by example needs no PyTorch.
 #
-# In a file every map is packed 16-bit numbers (exemplar.py): half floats, but for height
-# multiples of
-# a power of two, as differences of half floats would give uneven slopes. Files may be hostile, so
-# that sizes are checked before anything is unpacked.
+# In a file every map is packed 16-bit numbers: half floats, but for height multiples of a power of
+# two, as differences of half floats would give uneven slopes. Files may be hostile, so that sizes
+# are checked before anything is unpacked.
 
 Floats = NDArray[np.float32]
 
@@ -136,33 +135,17 @@ class Exemplar:
 
     def cut(self, rows: slice, columns: slice) -> Exemplar:
         """A rectangle of its texels."""
-
-        def some(planes: Floats) -> Floats:
-            return planes[:, rows, columns]
-
-        return replace(
-            self,
-            diffuse=some(self.diffuse),
-            specular=some(self.specular),
-            roughness=some(self.roughness),
-            height=some(self.height),
-            confidence=some(self.confidence),
-        )
+        return self.map(lambda planes: planes[:, rows, columns])
 
     def turned(self) -> Exemplar:
         """The exemplar rotated by 90 degrees clockwise."""
+        return self.map(lambda planes: np.rot90(planes, -1, (1, 2)))
 
-        def turn(planes: Floats) -> Floats:
-            return np.rot90(planes, -1, (1, 2))
-
-        return Exemplar(
-            turn(self.diffuse),
-            turn(self.specular),
-            turn(self.roughness),
-            turn(self.height),
-            turn(self.confidence),
-            self.texel_size,
-        )
+    def map(self, change: Callable[[Floats], Floats]) -> Exemplar:
+        """The same exemplar with `change` applied to every map and to the confidence."""
+        names = (*CHANNELS, "confidence")
+        changed: dict[str, Any] = {name: change(getattr(self, name)) for name in names}
+        return replace(self, **changed)
 
     def stacked(self) -> Floats:
         """(6, H, W): diffuse, specular, roughness, height; 8 where F0 has a colour."""

@@ -50,7 +50,6 @@ from matcap.example.placement import RULE, Placement, trend_penalty
 # Places of low confidence, and those that stand out, such as stains, have penalties: patches are
 # not placed there, and seams avoid them.
 
-
 # Candidates and penalties of an exemplar; docs/notes/field.md.
 _NEAREST_STEPS = 4  # least distance between a place and its candidate, grid steps
 _LEAST_TEXELS = 8  # likewise, texels
@@ -339,7 +338,6 @@ def _lattice(
 # A level is a grid of the field with a spacing of 2^level texels. Its neighbourhoods are compared
 # by the appearance of the exemplar smoothed to that spacing, sampled at half of it.
 
-
 # Tables of the synthesis; docs/notes/field.md.
 _ORDERED = 1  # first level at which phase errors have a cost
 # Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
@@ -396,11 +394,7 @@ class Lookup:
 
 
 def _placement(
-    coarsest: Level,
-    lattice: PhasedLattice | None,
-    sizes: PatchSizes,
-    joined: Frame,
-    rule: int,
+    coarsest: Level, lattice: PhasedLattice | None, sizes: PatchSizes, joined: Frame, rule: int
 ) -> Placement:
     sides = sizes.width, sizes.height
     if lattice is not None:

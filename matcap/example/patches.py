@@ -58,12 +58,7 @@ class Axis:
 
 
 def lay_patches(
-    level: Level,
-    placement: Placement,
-    depth: int,
-    seed: int,
-    frame: Frame,
-    axes: tuple[Axis, Axis],
+    level: Level, placement: Placement, depth: int, seed: int, frame: Frame, axes: tuple[Axis, Axis]
 ) -> tuple[Integers, Integers]:
     """(rows, columns) x, y of the exemplar that each position shows.
 

@@ -236,7 +236,6 @@ def _choose(
 # Features of a place are the logarithm of the contrast and the orientation of the exemplar, shaded
 # from the left and from the top. Their trend is a polynomial of place, shrunk by its F ratio.
 
-
 # Trends of texture; docs/notes/field.md.
 _DEGREE = 4  # of the polynomial: orientation around a mirror point is quadratic near to it
 _LIGHTS = ((-0.86, 0.0, 0.51), (0.0, 0.86, 0.51))  # unit vectors, y upwards

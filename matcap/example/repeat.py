@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 # Removes low frequencies of albedo, F0 and roughness, which make a tiling look periodic.
 
-
 # The seamless tile; docs/notes/field.md.
 
 # Parts a side whose medians low frequencies are fitted to. Fewer are less affected by stains,
@@ -111,7 +110,6 @@ def _waves(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 # Maps of a seamless tile by gradient-domain blending: a Poisson equation on a torus.
-
 
 # The seamless tile; docs/notes/field.md.
 _BLUR = 6.0  # texels over which the step at a seam is spread. Less shows the seam, more a halo.
@@ -244,7 +242,6 @@ class RepeatedSource:
 # 3. The two shifts are found after which the exemplar is most like itself (straighten.py).
 # 4. Copies shifted by these are joined along seams of least difference in all maps (straighten.py).
 # 5. What still differs at the seams is blended (repeat.py).
-
 
 # The seamless tile; docs/notes/field.md.
 _DISORDERED = 1.15  # factor on the cost of shifts that do not keep the lattice

@@ -89,7 +89,6 @@ def _least(
 
 # Shifts after which an exemplar is most like itself: candidates of the tile's period.
 
-
 # The seamless tile; docs/notes/field.md.
 _LEAST = 0.66  # least share of a side that the tile keeps. Less gives more shifts to choose from.
 _MOST = 0.92  # largest share; the rest is overlap for the seam
@@ -128,10 +127,7 @@ class _Candidate:
 
 
 def best_shift(
-    planes: Planes,
-    waves: tuple[Frequency, ...],
-    slant: float = 0.0,
-    slack: float = _MOST_TURN,
+    planes: Planes, waves: tuple[Frequency, ...], slant: float = 0.0, slack: float = _MOST_TURN
 ) -> RatedShift:
     """The shift, about along x, whose best seam costs least.
 

@@ -209,10 +209,7 @@ class Margins:
 
     def inside(self, size: tuple[int, int]) -> tuple[slice, slice]:
         """Slices of rows and columns of the first photograph's grid (width, height)."""
-        return (
-            slice(self.top, self.top + size[1]),
-            slice(self.left, self.left + size[0]),
-        )
+        return (slice(self.top, self.top + size[1]), slice(self.left, self.left + size[0]))
 
     def own(self, size: tuple[int, int]) -> Tensor:
         """(H, W) bool on the mosaic: the first photograph's grid of (width, height) texels."""

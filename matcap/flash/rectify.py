@@ -220,10 +220,7 @@ class Plane:
         left_out = None if self.left_out is None else ~whole(~self.left_out[None])[0]
         shrunk = plane_of(linear, valid, noise, self.encoding.limit)
         return replace(
-            shrunk,
-            channels=whole(self.measured),
-            left_out=left_out,
-            developed=self.developed,
+            shrunk, channels=whole(self.measured), left_out=left_out, developed=self.developed
         )
 
     def over(self, margins: Margins, known: Tensor) -> Plane:

@@ -290,14 +290,14 @@ def card_sentence(calibration: Calibration | None) -> str:
     """The calibration as a sentence for the user."""
     if calibration is None:
         return "No card: albedo is relative, lengths are in parts of the photograph."
-    said = [f"Card {calibration.card}:"]
+    sentences = [f"Card {calibration.card}:"]
     if calibration.millimetres_per_unit is not None:
-        said.append(f"{calibration.millimetres_per_unit:.1f} mm a unit at its distance,")
-        said.append(f"seen at {calibration.tilt:.1f} degrees;")
+        sentences.append(f"{calibration.millimetres_per_unit:.1f} mm a unit at its distance,")
+        sentences.append(f"seen at {calibration.tilt:.1f} degrees;")
     else:
-        said.append(f"no board of {_SQUARE:g} mm squares, so no millimetres;")
+        sentences.append(f"no board of {_SQUARE:g} mm squares, so no millimetres;")
     if calibration.matrix is None:
-        said.append("no ColorChecker in a RAW, so albedo is relative.")
+        sentences.append("no ColorChecker in a RAW, so albedo is relative.")
     else:
-        said.append(f"colours within {calibration.residual:.1%}, albedo absolute.")
-    return " ".join(said)
+        sentences.append(f"colours within {calibration.residual:.1%}, albedo absolute.")
+    return " ".join(sentences)

@@ -24,6 +24,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.network.network import SUBSAMPLING
 from matcap.capture.exemplar.observation import AROUND, PlaneLight
+from matcap.capture.exemplar.predict import with_confidence
 from matcap.capture.exemplar.relief_spectrum import smoothed, spline_enlarged, split
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST, Uniform
@@ -80,14 +81,8 @@ def transfer_detail(
     mean = torch.from_numpy(exemplar.diffuse.mean((1, 2), keepdims=True))
     diffuse = maps.diffuse.mul_(mean / maps.diffuse.mean((1, 2), keepdim=True))
     confidence = _resized(exemplar.confidence, plane.size, cv2.INTER_LINEAR)
-    return Exemplar(
-        diffuse=diffuse.clamp_(*ALBEDO_LIMITS).numpy(),
-        specular=maps.specular.numpy(),
-        roughness=maps.roughness.numpy(),
-        height=maps.height.numpy(),
-        confidence=confidence.clip(0.0, 1.0, out=confidence),
-        texel_size=plane.texel_size,
-    )
+    maps = replace(maps, diffuse=diffuse.clamp_(*ALBEDO_LIMITS))
+    return with_confidence(maps, confidence.clip(0.0, 1.0, out=confidence))
 
 
 def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:

@@ -136,11 +136,7 @@ class _MapPlanes:
 @one_thread()
 @torch.no_grad()
 def transport(
-    exemplar: Exemplar,
-    linear: Tensor,
-    valid: Tensor,
-    kept: Tensor,
-    light: PhotographLight,
+    exemplar: Exemplar, linear: Tensor, valid: Tensor, kept: Tensor, light: PhotographLight
 ) -> tuple[Exemplar, Copies | None]:
     """Copy blocks of maps to where specular light hides them (reflectance transport).
 
@@ -168,8 +164,9 @@ def transport(
     most = float(np.quantile(relative[known], _MOST_HIDDEN)) + 1e-6
     hidden = _around(relative < min(_LEAST_CONFIDENCE, most))
     donors = _donors(~hidden & known)
-    # Texels outside of a crop are not inpainted.
-    hidden = (hidden & known) | (_between(known) & ~known)
+    # Texels outside of a crop are not inpainted: they have none known in their row, or column.
+    rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
+    hidden = (hidden & known) | (rows[:, None] & columns & ~known)
     if not len(donors):
         return exemplar, None
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
@@ -336,11 +333,7 @@ def _continued(
 
 
 def _discontinuity(
-    place: tuple[int, int],
-    blocks: BlockPlaces,
-    donor: Floats,
-    seen: Floats,
-    known: TexelMask,
+    place: tuple[int, int], blocks: BlockPlaces, donor: Floats, seen: Floats, known: TexelMask
 ) -> Floats:
     """(N,) mean squared difference of blocks to known texels of a place, over variances of both.
 
@@ -403,12 +396,6 @@ def _around(texels: TexelMask) -> TexelMask:
     """(H, W) bool: texels, and those within _SPREAD of them."""
     square = np.ones((2 * _SPREAD + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
-
-
-def _between(known: TexelMask) -> TexelMask:
-    """(H, W) bool, texels that have a known texel both in their row and in their column."""
-    rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
-    return rows[:, None] & columns[None, :]
 
 
 def _donors(visible: TexelMask) -> BlockPlaces:

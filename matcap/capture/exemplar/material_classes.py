@@ -34,7 +34,6 @@ from matcap.flash.light import DARKEST
 # radiance has the colour of F0: with the share m of metal in a texel and the colour of radiance,
 # normalised to a channel mean of 1, the specular tint of the texel is 1 + m (colour - 1).
 
-
 _LEAST_SHARE = 0.005  # least share of metal in an exemplar
 _COLOUR_SIDE = 5  # texels, side of the neighbourhood whose colour is averaged, against noise
 # Radiance (1 at clipping) at which the local colour weighs as much as the mean: darker texels
@@ -102,7 +101,6 @@ def _mean(picture: Tensor) -> Tensor:
 # paint) are two classes, fitted by expectation maximisation [dempster1977] from the network's
 # prediction: mean parameters to the radial profile around the mirror point (mean_parameters.py),
 # and each texel's class shares to its radiance under either.
-
 
 # Classification; docs/notes/gloss.md.
 # Slope of logit roughness on height, true over predicted (docs/notes/gloss.md).

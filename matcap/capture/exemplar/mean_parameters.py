@@ -42,7 +42,6 @@ from matcap.flash.light import DARKEST, FlashLight
 # part has the prior of its own class, and metal that of its colour: gold is brighter than steel.
 # See docs/notes/capture.md.
 
-
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 _LEAST = 1e-4  # of albedo and F0
 
@@ -172,7 +171,6 @@ def _most(plane: NDArray[np.float32], quantile: float) -> float:
 # relief but not on its registration, and weigh the few texels at the mirror point like the many
 # beyond. The radiance of a partly clipped ring is a lower bound; taken as equality it would bias
 # roughness.
-
 
 _INNERMOST = 0.02  # r0, plane units; the ring of radius r is _PER_OCTAVE log2(1 + r / r0)
 _PER_OCTAVE = 4.0  # rings per octave of radius
@@ -333,10 +331,7 @@ class _Rings:
 
 @one_thread()
 def fit_mean_parameters(
-    target: RingTarget,
-    shares: Tensor,
-    start: Tensor,
-    prior: MeanParameterPrior,
+    target: RingTarget, shares: Tensor, start: Tensor, prior: MeanParameterPrior
 ) -> tuple[Tensor, float]:
     """(K, 5) mean parameters fitted to the ring means, and their mean absolute log residual.
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
+from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.material_classes import Classes, has_metal, tinted
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.exemplar.observation import Observation, seen_share
@@ -25,7 +26,7 @@ from matcap.example.exemplar import Exemplar
 
 # Expected errors (log, log, logit, slope) at which confidence is 1/e. Larger values trust
 # uncertain maps.
-_DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE = 0.3, 0.6, 0.6, 0.15
+_DOUBTED = (0.3, 0.6, 0.6, 0.15)
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,18 @@ def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, 
 def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
     """The maps and their confidence."""
     maps = observed.light.maps(prediction.residuals, observed.plane.texel_size)
+    return with_confidence(maps, prediction.confidence)
+
+
+def with_confidence(maps: MapSet, confidence: NDArray[np.float32]) -> Exemplar:
+    """The exemplar of maps and a confidence (4, H, W)."""
     return Exemplar(
-        diffuse=maps.diffuse.numpy(),
-        specular=maps.specular.numpy(),
-        roughness=maps.roughness.numpy(),
-        height=maps.height.numpy(),
-        confidence=prediction.confidence,
-        texel_size=observed.plane.texel_size,
+        maps.diffuse.numpy(),
+        maps.specular.numpy(),
+        maps.roughness.numpy(),
+        maps.height.numpy(),
+        confidence,
+        maps.texel_size,
     )
 
 
@@ -85,15 +91,12 @@ def confidence_of(
     The blur keeps where the light shows a map, and removes which features are predicted easily.
 
     Args:
-        errors: expected errors by map; units are _DOUBTED_*.
+        errors: expected errors by map; units are _DOUBTED.
         seen: (H, W) visibility, in [0, 1].
         unit: texels along the photograph's long side.
     """
     error = errors.stacked().clamp(-8.0, 4.0).exp().numpy()
-    units = (
-        _DOUBTED_ALBEDO, _DOUBTED_SPECULAR, _DOUBTED_ROUGHNESS, _DOUBTED_SLOPE,
-    )  # fmt: skip
-    error = error / np.array(units, np.float32)[:, None, None]
+    error = error / np.array(_DOUBTED, np.float32)[:, None, None]
     certain = np.stack([np.exp(-smoothed(plane, unit / WIDE)) for plane in error])
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
 

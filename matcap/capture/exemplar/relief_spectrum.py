@@ -19,7 +19,6 @@ from matcap.photo.left_out import area_averaged
 
 # Octave bands of a plane, and wide Gaussian blurs computed at reduced resolution.
 
-
 # Longest and shortest wavelength of each band, texels.
 BANDS = tuple(pairwise((64.0, 32.0, 16.0, 8.0, 4.0, 2.8, 2.0)))
 # Octave bands of a plane; docs/notes/capture.md.
@@ -190,7 +189,6 @@ def _ramp(octave: ChannelPlane) -> ChannelPlane:
 # would mistake albedo for relief. As relief shows along the light only, a weighted regression over
 # windows and directions recovers A, S and the standard error of S.
 
-
 # Measurement and use of the relief spectrum; docs/notes/capture.md. NSD is the normalised style
 # distance.
 
@@ -296,9 +294,7 @@ def measure_relief_spectrum(
     matte = np.ones_like(log) if matte is None else matte
     albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
     return ReliefSpectrum(
-        albedo=np.sqrt(albedo),
-        slope=np.sqrt(slope),
-        deviation=np.sqrt(np.square(error).sum(1)),
+        albedo=np.sqrt(albedo), slope=np.sqrt(slope), deviation=np.sqrt(np.square(error).sum(1))
     )
 
 

@@ -46,6 +46,7 @@ from matcap.capture.multiview.texels import (
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
+from matcap.flash.light import Incident
 
 # Settings of the fit; docs/notes/several.md.
 _ACROSS = 160  # texels across the grid
@@ -100,12 +101,8 @@ def fit_basis(
 ) -> tuple[SharedMaterials, SharedLight] | None:
     """The materials that predict held-back photographs best, and the light fitted with them.
 
-    None if one does, if any photograph is without flash, or with fewer than three.
-
-    Args:
-        views: photographs on a coarse grid.
-        prediction: the network's, on the same grid.
-        light: initial value.
+    None if one does, if any photograph is without flash, or with fewer than three. Photographs and
+    the network's prediction are on the same coarse grid.
     """
     if len(views) < 3 or not all(view.flash for view in views):
         return None
@@ -302,15 +299,22 @@ def _colour_costs(features: Tensor, shares: Tensor) -> Tensor:
 
 def _reflected(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
     """(n, 3, H, W) radiance over irradiance of the flat plane, NaN where not seen."""
-    size = views[0].log.shape[-2:]
+    lit = _on_flat_plane(views, light, views[0].log.shape[-2:])
+    return torch.stack(
+        [
+            (view.log.exp() / on.irradiance).where(view.seen.all(0), torch.nan)
+            for view, on in zip(views, lit, strict=True)
+        ]
+    )
+
+
+def _on_flat_plane(
+    views: Sequence[ResampledView], light: SharedLight, size: tuple[int, ...]
+) -> list[Incident]:
+    """Each photograph's light on the flat plane, on a grid of `size` = (rows, columns)."""
     points, up = points_of(size, extent=views[0].extent), torch.zeros(3, *size)
     up[2] = 1.0
-    lit = (light_at(n, view, light, points).onto(up) for n, view in enumerate(views))
-    each = (view.log.exp() / on.irradiance for view, on in zip(views, lit, strict=True))
-    planes = (
-        plane.where(view.seen.all(0), torch.nan) for view, plane in zip(views, each, strict=True)
-    )
-    return torch.stack(list(planes))
+    return [light_at(n, view, light, points).onto(up) for n, view in enumerate(views)]
 
 
 def _dimmest(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
@@ -371,11 +375,7 @@ def _started(fit: _Fit, shares: Tensor) -> _Fit:
     # The prior of dielectrics is grey and 0.04, that of conductors what the scan measured.
     base, grey = fit.current.gloss, ~basis.metallic
     base[grey, 0], base[grey, 2:] = DIELECTRIC_F0.mean, 0.0
-    return replace(
-        fit,
-        basis=replace(basis, gloss=base),
-        light=replace(fit.light, gloss=nothing),
-    )
+    return replace(fit, basis=replace(basis, gloss=base), light=replace(fit.light, gloss=nothing))
 
 
 class _Scanned(NamedTuple):
@@ -462,9 +462,7 @@ def _refined(shares: Floats, fine: Floats) -> Floats:
 def _lobes(views: Sequence[ResampledView], light: SharedLight) -> list[Tensor]:
     """(n, 1, h, w) specular radiance over irradiance of F0 = 1 on flat cells, by roughness."""
     height, width = (max(1, side // _CELL) for side in views[0].log.shape[-2:])
-    points, up = points_of((height, width), extent=views[0].extent), torch.zeros(3, height, width)
-    up[2] = 1.0
-    lit = [light_at(n, view, light, points).onto(up) for n, view in enumerate(views)]
+    lit = _on_flat_plane(views, light, (height, width))
     one = torch.ones(1, height, width)
     return [torch.stack([on.mirrored(one, rough * one) for on in lit]) for rough in _ROUGH]
 

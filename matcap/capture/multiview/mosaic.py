@@ -313,11 +313,7 @@ class PredictedBeyond(NamedTuple):
 
 
 def resampled(
-    prediction: Estimate,
-    own: OwnPlane,
-    alignment: Aligned,
-    number: int,
-    size: tuple[int, int],
+    prediction: Estimate, own: OwnPlane, alignment: Aligned, number: int, size: tuple[int, int]
 ) -> PredictedBeyond:
     """Resample photograph `number`'s prediction from its own plane to the first one's.
 
@@ -357,14 +353,10 @@ def _faded(within: NDArray[np.float32], width: int) -> NDArray[np.float32]:
 
 
 def spread_over(prediction: Estimate, margins: Margins) -> Estimate:
-    """Extrapolate the first photograph's estimate smoothly over the margins.
+    """Extrapolate the first photograph's estimate smoothly over the mosaic's margins.
 
     Its error there is the standard deviation of the parameters within the first photograph, errors
     included.
-
-    Args:
-        prediction: on the first photograph's grid.
-        margins: of the mosaic.
     """
     if not margins.any:
         return prediction

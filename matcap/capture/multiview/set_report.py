@@ -35,7 +35,6 @@ from matcap.photo.photo import standing
 #
 # This needs no ground truth, as maps of the others are not fitted to the photograph left out.
 
-
 # Settings of the leave-one-out solves; docs/notes/several.md.
 _ACROSS = 224  # texels across the grid, enough for errors of shading and gloss
 # Steps per texel in each round (solve.ROUNDS) of the solutions without one photograph, which start
@@ -48,7 +47,7 @@ _SAMPLED = 1500
 _CLEARLY = 0.75
 
 
-class Foretold(NamedTuple):
+class Prediction(NamedTuple):
     """A photograph and its rendering by maps of others, linear, (H, W, 3); 0 where not seen."""
 
     number: int
@@ -57,10 +56,10 @@ class Foretold(NamedTuple):
     rendered: NDArray[np.float32]
 
     @staticmethod
-    def of(number: int, view: ResampledView, rendered: Tensor) -> Foretold:
+    def of(number: int, view: ResampledView, rendered: Tensor) -> Prediction:
         """From log radiance (3, H, W)."""
         both = (picture_of(view.seen * log.exp()) for log in (view.log, rendered))
-        return Foretold(number, *both)
+        return Prediction(number, *both)
 
 
 class LeaveOneOut(NamedTuple):
@@ -73,8 +72,8 @@ class LeaveOneOut(NamedTuple):
     """Of maps estimated from all other photographs; () if fewer than two have flash."""
     by_first: tuple[float, ...]
     """Of maps estimated from the first photograph alone; () as by_others."""
-    pictures: tuple[Foretold, ...] = ()
-    """Of each photograph with flash, as maps of the others foretell it."""
+    pictures: tuple[Prediction, ...] = ()
+    """Of each photograph with flash, as predicted from the others."""
 
     @property
     def kept_first(self) -> tuple[float, float] | None:
@@ -123,10 +122,10 @@ def leave_one_out(
         kept = [number for number in range(len(views)) if number != left_out]
         some, light = [views[number] for number in kept], solved.light.of_some(kept)
         without = solve(some, small, light, whole, rounds=_WITHOUT, sampled=_SAMPLED)
-        by_others[left_out], foretold = left_out_residual(
+        by_others[left_out], predicted = left_out_residual(
             views[left_out], without.maps, without.light
         )
-        pictures.append(Foretold.of(left_out + 1, views[left_out], foretold))
+        pictures.append(Prediction.of(left_out + 1, views[left_out], predicted))
         by_first[left_out], _ = left_out_residual(views[left_out], own.maps, begun)
     return LeaveOneOut(tuple(by_others), tuple(by_first), tuple(pictures))
 
@@ -168,8 +167,8 @@ class SetReport:
     kept_first: tuple[float, float] | None = None
     """Set if the result is that of the first photograph: residuals of all others predicted by each
     other and by the first, means."""
-    pictures: tuple[Foretold, ...] = ()
-    """Photographs as the others foretell them; empty if not computed."""
+    pictures: tuple[Prediction, ...] = ()
+    """Photographs predicted from the others; empty if not computed."""
 
     @staticmethod
     def of(
@@ -303,8 +302,8 @@ def _write(report: SetReport, ink: ImageDraw.ImageDraw, left: int, right: int) -
             y += _LINE - 4
 
 
-def draw_foretold(report: SetReport, width: int, *, turned: bool) -> Image.Image:
-    """Draw each photograph, its prediction by the others, and their difference about grey.
+def draw_predicted(report: SetReport, width: int, *, turned: bool) -> Image.Image:
+    """Draw each photograph, its prediction from the others, and their difference about grey.
 
     Args:
         report: with its pictures.
@@ -325,15 +324,15 @@ def draw_foretold(report: SetReport, width: int, *, turned: bool) -> Image.Image
     return Image.fromarray(np.vstack(rows))
 
 
-def _triple(report: SetReport, one: Foretold, width: int, *, turned: bool) -> Image.Image:
+def _triple(report: SetReport, one: Prediction, width: int, *, turned: bool) -> Image.Image:
     """One photograph, its prediction and the difference of codes, twofold, side by side."""
-    shown, foretold = (srgb_picture(each) for each in one[1:])
-    triple = np.stack([shown, foretold, 0.5 + 2.0 * (foretold - shown)])
+    shown, predicted = (srgb_picture(each) for each in one[1:])
+    triple = np.stack([shown, predicted, 0.5 + 2.0 * (predicted - shown)])
     codes = np.rint(np.clip(triple, 0.0, 1.0) * 255.0).astype(np.uint8)
     pictures = [standing(each) if turned else each for each in codes]
     tall = round(width / 3 * pictures[0].shape[0] / pictures[0].shape[1])
     view, error = report.views[one.number - 1], report.predicted[one.number - 1]
-    label = f"{one.number} {view.photo.name}: photographed, foretold within {100.0 * error:.1f} %"
+    label = f"{one.number} {view.photo.name}: photographed, predicted within {100.0 * error:.1f} %"
     sheet, _ = _blank(width, tall + _LINE + _ROUND, f"{label}, difference")
     for number, picture in enumerate(pictures):
         part = Image.fromarray(picture).resize((width // 3 - 2, tall))
@@ -351,7 +350,7 @@ def set_report_lines(report: SetReport) -> Iterator[tuple[str, int | None]]:
         if not view.flash:
             line += ", without flash"
         elif not math.isnan(prediction):
-            line += f", predicted by the others within {100.0 * prediction:.1f} %"
+            line += f", predicted from the others within {100.0 * prediction:.1f} %"
         yield line, number
     for one in report.left_out:
         yield f"left out: {one.name}, {one.why}", 0

@@ -313,10 +313,7 @@ def _without_slow(slopes: Tensor, unit: float) -> Tensor:
 
 
 def _step_at_fixed_slopes(
-    views: Sequence[ResampledView],
-    parameters: Tensor,
-    prior: ParameterPrior,
-    light: SharedLight,
+    views: Sequence[ResampledView], parameters: Tensor, prior: ParameterPrior, light: SharedLight
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (surface.py)."""
     step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)

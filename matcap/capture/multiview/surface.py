@@ -112,7 +112,6 @@ def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
 # (T + nu) (y - g m) is too smooth; with the square root of the gain T / (T + nu) the octave has its
 # expected energy g^2 E[m^2] + T.
 
-
 _OCTAVES = ((256.0, 128.0), (128.0, 64.0), *BANDS)
 _AROUND = 2.0  # wavelengths over which noise is averaged
 _LEAST_VARIANCE = 1e-12  # lower limit of variances

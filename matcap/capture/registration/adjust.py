@@ -23,7 +23,6 @@ from matcap.flash.least_squares import huber, jacobian, minimised
 # other one. The Huber cost of reprojection errors is minimised (flash/least_squares.py); the
 # residuals of a photograph depend on its six pose parameters and the common ones only.
 
-
 _HUBER = 1.0  # threshold of the Huber loss, pixels
 # Largest effective number of a photograph's matches, as the parallax of relief is correlated
 # between neighbours.
@@ -221,7 +220,6 @@ def _initial_pose(first: PosedCamera, pair: Pair) -> Doubles:
 # depths of single features. It is a consider parameter: in the covariance, but not estimated
 # [schmidt1966].
 
-
 # Prior standard deviations and noise model; docs/notes/several.md.
 # Standard deviation of the features' common apparent depth over that of single ones.
 _COMMON_DEPTH = 3.0
@@ -244,9 +242,7 @@ class CameraDeviations:
 def camera_deviations(fit: Adjusted, pairs: Sequence[Pair]) -> CameraDeviations:
     """Standard deviations of camera positions and of the photographs' registration.
 
-    Args:
-        fit: cameras after bundle adjustment.
-        pairs: the matches they were fitted to.
+    `fit` are cameras after bundle adjustment to `pairs`.
     """
     bundle = replace(fit.bundle, pairs=pairs, relief=RELIEF)
     covariance, positions, misregistration = _covariance(bundle, fit.parameters), [], []

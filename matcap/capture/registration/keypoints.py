@@ -29,7 +29,6 @@ from matcap.photo.photo import Photo
 # matches. Textures repeat, so mutual nearest neighbours are matched with a loose ratio test (0.95),
 # and a homography selects the consistent ones.
 
-
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 # Settings of detection and matching.
@@ -235,7 +234,6 @@ def is_periodic(photo: Photo) -> bool:
 # Sharpness is the ratio of the amplitudes of the finest band and of a band of four times the
 # wavelength: defocus and motion lower it, light hardly affects it.
 
-
 ChannelPlane = NDArray[np.float32]
 
 # Settings of the comparison; docs/notes/several.md.
@@ -251,9 +249,6 @@ def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[floa
     """Correlation of the fine texture of each photograph but the first with it, over their overlap.
 
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
-
-    Args:
-        seen: photographs with their cameras.
     """
     rows, columns = seen[0][0].pixels.shape[:2]
     (texture, inside), *others = (

@@ -62,8 +62,6 @@ class RegisteredView:
     """Its camera in the plane frame."""
     matches: int = 0
     """Number of inlier matches with the first photograph; 0 for the first."""
-    reprojection_error: float = 0.0
-    """Median reprojection error of these, pixels."""
     correlation: float = 1.0
     """Correlation of fine texture with the first photograph."""
     flash: bool = True
@@ -179,10 +177,7 @@ class _Fitted:
 
     @staticmethod
     def of(
-        photos: Sequence[Photo],
-        setup: FlashSetup,
-        pairs: Mapping[int, Pair],
-        dark: Container[int],
+        photos: Sequence[Photo], setup: FlashSetup, pairs: Mapping[int, Pair], dark: Container[int]
     ) -> _Fitted:
         """Fit the cameras of matched photographs."""
         known = photos[0].fov_source != "assumed"
@@ -238,7 +233,6 @@ class _Fitted:
                 photos[index],
                 self.cameras[index],
                 matches=pairs[index].first.shape[1],
-                reprojection_error=self.errors[index],
                 correlation=self.correlations[index],
                 flash=index not in dark,
                 position_deviation=float(position),
@@ -259,9 +253,6 @@ def without_flash(photos: Sequence[Photo]) -> dict[int, str]:
 
     By metadata, or without them by the falloff from the mirror point that a flash has. Empty if no
     photograph seems to have flash, as EXIF does not record external flashes and ring lights.
-
-    Args:
-        photos: of one sample.
     """
     falloff = [hot_spot(photo)[1] for photo in photos]
     lit = [

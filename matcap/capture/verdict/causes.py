@@ -37,7 +37,6 @@ from matcap.photo.inspect import channel_mean
 # and 1 is a matte surface. Glint contrast is the standard deviation of log L in octaves of spatial
 # frequency, where the specular fraction of the photograph is at least MIRRORED.
 
-
 Picture = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
 
@@ -227,10 +226,7 @@ class ExemplarMeasurements:
 
     @staticmethod
     def of(
-        estimate: ExemplarEstimate,
-        rectified: Rectified,
-        setup: FlashSetup,
-        seed: int | None,
+        estimate: ExemplarEstimate, rectified: Rectified, setup: FlashSetup, seed: int | None
     ) -> ExemplarMeasurements:
         """Measure an exemplar.
 
@@ -313,7 +309,6 @@ def _blocks(plane: BlockMeans) -> BlockMeans:
 # Measurements of causes of a poor capture, in photograph and re-rendering.
 #
 # A cause is reported if its measurement exceeds its limit in the table (photo/checks.py).
-
 
 SmoothLight = NDArray[np.float64]
 

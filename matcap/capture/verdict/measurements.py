@@ -181,10 +181,7 @@ def smooth_difference(
 
 
 def texture_contrasts(
-    seen: Picture,
-    tiles: tuple[dict[str, Picture], dict[str, Picture]],
-    *,
-    developed: bool = False,
+    seen: Picture, tiles: tuple[dict[str, Picture], dict[str, Picture]], *, developed: bool = False
 ) -> tuple[dict[str, tuple[float, float]], dict[str, Region]]:
     """Root-mean-square contrast of log luminance, and of colour, in two linear pictures (H, W, 3),
     and the tile of which the contrast differs most in the direction of all.

@@ -90,11 +90,7 @@ class TiltPrior:
 
 
 def priors(
-    photo: Photo,
-    tilt: tuple[float, float] | None,
-    tilt_prior: TiltPrior | None,
-    *,
-    conductor: bool,
+    photo: Photo, tilt: tuple[float, float] | None, tilt_prior: TiltPrior | None, *, conductor: bool
 ) -> tuple[Unknowns, Unknowns]:
     """Mean and standard deviation of a photograph's parameters; arguments as of fit_coarse."""
     mean = replace(_MEAN, tone=numbers(photo.development.log_exponent))

@@ -15,9 +15,9 @@ from simulated.photographs import Hand, hold
 from matcap.capture.exemplar.estimate import map_set_of
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import (
-    Foretold,
+    Prediction,
     SetReport,
-    draw_foretold,
+    draw_predicted,
     draw_set,
     left_out_residual,
     set_report_lines,
@@ -100,9 +100,9 @@ def test_a_photograph_is_predicted_from_the_others():
     some = light.of_some([0, 1, 2, 4])
     kept = [views[k] for k in (0, 1, 2, 4)]
     found = _solved(kept, flattened(maps), some)
-    error, foretold = left_out_residual(views[3], found.maps, found.light)
+    error, predicted = left_out_residual(views[3], found.maps, found.light)
     assert error < 3.0 * max(found.residual)
-    off = (foretold - views[3].log)[views[3].seen].abs().median()
+    off = (predicted - views[3].log)[views[3].seen].abs().median()
     assert float(off) == pytest.approx(error)
     flat, _ = left_out_residual(views[3], flattened(maps), found.light)
     assert flat > 3.0 * error
@@ -314,19 +314,21 @@ def test_cameras_stand_where_they_stood_and_flashes_beside_them():
 
 def test_what_each_told_is_told():
     said = [line for line, _ in set_report_lines(report())]
-    assert said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, predicted by the others within 4.0 %"
+    assert (
+        said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, predicted from the others within 4.0 %"
+    )
     assert said[2] == "left out: cat.jpg, it shows something else"
     assert said[3].startswith("measured, not predicted: diffuse 90 %, specular 30 %")
 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_photograph_is_shown_beside_its_prediction_and_their_difference(turned):
-    true, foretold = np.full((48, 64, 3), 0.2, np.float32), np.full((48, 64, 3), 0.3, np.float32)
-    result = report(pictures=(Foretold(1, true, true), Foretold(2, true, foretold)))
-    drawn = np.asarray(draw_foretold(result, 1211, turned=turned)).astype(int)
+    true, predicted = np.full((48, 64, 3), 0.2, np.float32), np.full((48, 64, 3), 0.3, np.float32)
+    result = report(pictures=(Prediction(1, true, true), Prediction(2, true, predicted)))
+    drawn = np.asarray(draw_predicted(result, 1211, turned=turned)).astype(int)
     here = drawn[
         100, [100, 230, 360, 500, 630, 760]
-    ]  # of either: photographed, foretold, difference
+    ]  # of either: photographed, predicted, difference
     codes = np.rint(255.0 * srgb_picture(np.array([0.2, 0.3], np.float32)))
     assert here[:2, 0] == pytest.approx(codes[[0, 0]], abs=1)
     assert here[3:5, 0] == pytest.approx(codes, abs=1)

@@ -31,7 +31,6 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 # features, uniform and weighted by the sensitivity to slope and by gloss, scale and shift the
 # features of the decoder (FiLM [perez2018]).
 
-
 _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
@@ -307,7 +306,6 @@ def load_inverse() -> Inverse:
 # slope and by roughness at every texel. So one network serves every field of view, flash and tilt.
 # Heights are in texels, so slopes are rise over run at any resolution.
 
-
 MOST_RESIDUAL = 3.0  # log radiance; residuals are clipped to +-this
 _STEP = 0.03  # step of slope and of logit roughness in finite differences of radiance
 SUBSAMPLING = 4  # subsampling, texels, of renderings of the uniform material, which are smooth
@@ -328,7 +326,7 @@ def network_inputs(
     height, width = linear.shape[-2:]
     size = tuple(max(2, -(-side // SUBSAMPLING)) for side in (height, width))
     # A coarse grid from the first to the last texel, whose points are linear in the index.
-    thin = _resized(points, size)
+    thin = resized(points, size)
     light = FlashLight.of(uniform.setup, thin)
     flat, diffuse = uniform_radiance(uniform, light)
     _, flash = (v.to(points)[:, None, None] for v in camera_in_plane(uniform.setup))
@@ -340,7 +338,7 @@ def network_inputs(
         "gloss": 1.0 - diffuse.mean(0, keepdim=True) / flat.mean(0, keepdim=True),
     }
     channels = [len(plane) for plane in smooth.values()]
-    planes = _resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
+    planes = resized(torch.cat(list(smooth.values())), (height, width)).split(channels)
     everywhere = dict(zip(smooth, planes, strict=True))
     log = (linear.clamp_min(1e-6).log() - everywhere["flat"]).clamp(-MOST_RESIDUAL, MOST_RESIDUAL)
     sensitivity = everywhere["slope"]
@@ -383,6 +381,6 @@ def _shown_of_roughness(uniform: Uniform, light: FlashLight, flat: Tensor) -> Te
     return (duller.mean(0, keepdim=True).log() - flat.mean(0, keepdim=True).log()) / _STEP
 
 
-def _resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
+def resized(picture: Tensor, size: tuple[int, ...]) -> Tensor:
     """Resize (C, H, W) bilinearly to (C, *size), with corners aligned."""
     return F.interpolate(picture[None], size=list(size), mode="bilinear", align_corners=True)[0]
