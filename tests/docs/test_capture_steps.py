@@ -12,7 +12,7 @@ from matcap.capture.settings import CaptureSettings
 from matcap.photo.load import load_photo
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-DETAIL = 192
+DETAIL = 128
 
 
 @pytest.fixture
