@@ -12,6 +12,7 @@ from types import ModuleType
 import guide
 import numpy as np
 import pytest
+import torch
 import typer
 from guide import ROOT as GUIDE_ROOT
 from guide import anchors, commands
@@ -19,8 +20,10 @@ from lattice_tilt import tilt_about_x
 
 import matcap as package
 from matcap.batch.samples import read_settings
-from matcap.capture.settings import DRAWING_STAGES, EXEMPLAR_STAGES
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import DRAWING_STAGES, EXEMPLAR_STAGES, CaptureSettings
 from matcap.cli.main import app, main
+from matcap.photo.load import load_photo
 from matcap.relight.effects.entries import EFFECTS, Effect
 from matcap.relight.scenefile import parse_scene
 
@@ -277,3 +280,30 @@ def test_the_guides_own_effect_keeps_its_bound(steps, monkeypatch):
     assert eval(f"{{{reached}}}")["fuzz"] <= max(shares) <= 1.0
     exec(compile(test, "test_fuzz.py", "exec"), names)
     names["test_fuzz_is_the_formula"]()
+
+
+# examples/capture_steps.py: the public steps put together by hand are a capture.
+
+
+DETAIL = 128
+
+
+@pytest.fixture
+def capture_steps(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    return pytest.importorskip("capture_steps")
+
+
+@pytest.mark.capture
+@pytest.mark.usefixtures("one_coarse_fit")
+def test_steps_by_hand_give_the_maps_of_a_capture_and_take_another_prior(capture_steps):
+    photo = load_photo(ROOT / "examples" / "photos" / "leather.dng", long_side=DETAIL)
+    material, maps = capture_steps.capture(photo)
+    whole = capture_photo(photo, CaptureSettings(detail=DETAIL, generator="example")).material
+    assert torch.equal(
+        material.maps(64, 48, seed=3).stacked(), whole.maps(64, 48, seed=3).stacked()
+    )
+
+    flat, flat_maps = capture_steps.capture(photo, capture_steps.flat_prior)
+    assert torch.isfinite(flat_maps.stacked()).all()
+    assert flat_maps.height.std() < 0.5 * maps.height.std()  # relief is the prior's
