@@ -246,11 +246,11 @@ def captures(photographs, one_coarse_fit):
 def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_path):
     """Across blocks of the grid, where it repeats too, and read from its file."""
     settings = CaptureSettings(
-        generator="decoder", preset="draft", detail=192, steps=1, aligned=True
+        generator="decoder", preset="draft", detail=128, steps=1, aligned=True
     )
     done = {name: capture_file(path, settings) for name, path in photographs.items()}
     lying, standing = done["lying"], done["standing"]
-    assert standing.maps.size == (144, 192) == standing.rectified.shape[1::-1]
+    assert standing.maps.size == (96, 128) == standing.rectified.shape[1::-1]
     np.testing.assert_array_equal(
         standing.estimate.exemplar.diffuse, np.rot90(lying.estimate.exemplar.diffuse, -1, (1, 2))
     )

@@ -128,7 +128,7 @@ work = [[*capture, "--generator", "example"]] if first else [
     ["synth", f"{out}/tile/tile.matcap", "--size", "64x32", "-o", f"{out}/set", "-q"],
     ["relight", f"{out}/tile", "--light", "left", "-o", f"{out}/left.png", "-q"],
     ["export", f"{out}/tile", "--to", "gltf", "--size", "64", "-o", f"{out}/gltf", "-q"],
-    ["view", f"{out}/tile", "--html", f"{out}/tile.html", "-q"],
+    ["view", f"{out}/tile", "--html", f"{out}/tile.html", "--tile", "64", "-q"],
 ]
 for words in work:
     code = main(words)

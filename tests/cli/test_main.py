@@ -4,7 +4,6 @@ import os
 import random
 import re
 import resource
-import shlex
 import signal
 import subprocess
 import sys
@@ -292,31 +291,6 @@ def test_python_names_exist():
 def test_pictures_exist():
     for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", README):
         assert (ROOT / picture).is_file()
-
-
-# What makes a line quick; the last of an option's values counts.
-QUICK = {
-    "capture": ("--preset", "instant", "--detail", "160", "--size", "64"),
-    "batch": ("--preset", "instant", "--detail", "160", "--size", "64", "-j", "1"),
-    "synth": ("--size", "512x64"),
-    "relight": ("--size", "64x48"),
-    "export": ("--size", "64"),
-}
-
-
-@pytest.mark.capture
-def test_lines_of_the_readme_run_in_order(matcap, tmp_path, monkeypatch):
-    """As written, but quickly; pages are only written, for nobody closes the others."""
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    monkeypatch.chdir(tmp_path)
-    lines = [line.partition("matcap ")[2] for line in SHELL if re.search(r"(^|/bin/)matcap ", line)]
-    lines = [line for line in lines if not line.startswith("view") or "--html" in line]
-    assert lines[0].startswith("capture examples/photos/leather.dng")
-    for line in lines:
-        words = shlex.split(line)
-        said = matcap(*words, *QUICK.get(words[0], ()))
-        assert said.code == 0, (line, said.err)
-    assert "Verdict" in (tmp_path / "materials" / "index.html").read_text()
 
 
 def test_the_environment_is_activated_before_it_is_used():

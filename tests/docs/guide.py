@@ -26,6 +26,7 @@ QUICK: dict[str, tuple[str, ...]] = {
     "batch": ("--preset", "instant", "--detail", "160", "--size", "64", "-j", "1"),
     "relight": ("--size", "160x120"),
     "export": ("--size", "64"),
+    "view": ("--tile", "64"),
 }
 # Options that stand for hours, and what stands for them here.
 SHORTER = {"16384": "512", "4096x256": "512x64", "2048": "512", "2048x256": "256x64", "200": "2"}
@@ -72,7 +73,7 @@ def words_of(line: str) -> list[str]:
 
 
 def prepare(folder: Path, page: str, captured: Path | None = None) -> None:
-    """What the lines of a page read; `captured` is where two photographs were captured before."""
+    """What the lines of a page read; `captured` has captures made before."""
     from matcap.cli.main import main
 
     photos = ROOT / "examples" / "photos"
@@ -86,15 +87,12 @@ def prepare(folder: Path, page: str, captured: Path | None = None) -> None:
     shutil.copy(ROOT / "examples" / "scenes" / "flash.toml", folder / "scene.toml")
     text = " ".join(lines_of(page))
     if "out/" in text or "MATERIAL" in text:
-        if captured and captured.exists():
+        if captured:
             shutil.copytree(captured, folder / "out")
         else:
             words = ("capture", "leather.dng", "cloth.jpg", "-o", "out")
             assert main([*words, *QUICK["capture"]]) == 0
-            if captured:
-                shutil.copytree(folder / "out", captured)
         shutil.copy(folder / "out" / "leather" / "leather.matcap", folder / "MATERIAL.matcap")
-        shutil.copy(folder / "out" / "cloth" / "cloth.matcap", folder / "OTHER.matcap")
     if "bricks/" in text:
         _foreign(folder / "bricks")
     if "mask.png" in text:

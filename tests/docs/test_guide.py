@@ -12,6 +12,7 @@ from types import ModuleType
 import guide
 import numpy as np
 import pytest
+import torch
 import typer
 from guide import ROOT as GUIDE_ROOT
 from guide import anchors, commands
@@ -19,30 +20,51 @@ from lattice_tilt import tilt_about_x
 
 import matcap as package
 from matcap.batch.samples import read_settings
-from matcap.capture.settings import DRAWING_STAGES, EXEMPLAR_STAGES
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.settings import DRAWING_STAGES, EXEMPLAR_STAGES, CaptureSettings
 from matcap.cli.main import app, main
+from matcap.photo.load import load_photo
 from matcap.relight.effects.entries import EFFECTS, Effect
 from matcap.relight.scenefile import parse_scene
 
 # What the pages of docs say: commands that run, and how a lattice shows its tilt.
 
 
-# A batch runs as README has it, in tests/cli; test_guide.py parses all lines.
+# README runs first; the other lines of all pages are parsed.
 QUICKEST = ("relight.md", "view.md")
 
 
 @pytest.fixture(scope="module")
-def captured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the first page leaves its captures for the others."""
-    return tmp_path_factory.mktemp("captured") / "out"
+def readme_ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where README's lines ran, in order; pages are only written, for nobody closes the others."""
+    folder = tmp_path_factory.mktemp("readme")
+    (folder / "examples").symlink_to(GUIDE_ROOT / "examples")
+    text = (GUIDE_ROOT / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(
+        r"(?m)(?:^|/bin/)(matcap .*)", "".join(re.findall(r"(?s)```sh\n(.*?)```", text))
+    )
+    assert lines[0].startswith("matcap capture examples/photos/leather.dng")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for line in lines:
+            if not line.startswith("matcap view") or "--html" in line:
+                assert main(guide.words_of(line)) == 0, line
+    return folder
+
+
+@pytest.mark.capture
+def test_lines_of_the_readme_run_in_order(readme_ran: Path) -> None:
+    assert "Verdict" in (readme_ran / "materials" / "index.html").read_text()
 
 
 @pytest.mark.capture
 @pytest.mark.parametrize("page", QUICKEST)
 def test_the_lines_of_a_page_run_and_leave_what_they_name(
-    page: str, tmp_path: Path, captured: Path
+    page: str, tmp_path: Path, readme_ran: Path
 ) -> None:
-    faults = [f"{line}: {wrong}" for line, wrong in guide.run(page, tmp_path, captured) if wrong]
+    faults = [
+        f"{line}: {wrong}" for line, wrong in guide.run(page, tmp_path, readme_ran / "out") if wrong
+    ]
     assert not faults
 
 
@@ -66,7 +88,7 @@ def test_the_guides_pattern_shows_its_tilt(degrees):
 
 PAGES = sorted([*GUIDE_ROOT.glob("*.md"), *GUIDE_ROOT.glob("docs/**/*.md")])
 NAMES = [str(page.relative_to(GUIDE_ROOT)) for page in PAGES]
-# Pages of the guide whose commands are run; test_guide.py runs others, tests/cli those of README.
+# Pages of the guide whose cheap commands are run.
 RUN = ("synth", "blend")
 # As shown, but smaller: as good a test.
 SIZES = {"relight": "48x36", "export": "48x48"}
@@ -258,3 +280,30 @@ def test_the_guides_own_effect_keeps_its_bound(steps, monkeypatch):
     assert eval(f"{{{reached}}}")["fuzz"] <= max(shares) <= 1.0
     exec(compile(test, "test_fuzz.py", "exec"), names)
     names["test_fuzz_is_the_formula"]()
+
+
+# examples/capture_steps.py: the public steps put together by hand are a capture.
+
+
+DETAIL = 128
+
+
+@pytest.fixture
+def capture_steps(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "examples")
+    return pytest.importorskip("capture_steps")
+
+
+@pytest.mark.capture
+@pytest.mark.usefixtures("one_coarse_fit")
+def test_steps_by_hand_give_the_maps_of_a_capture_and_take_another_prior(capture_steps):
+    photo = load_photo(ROOT / "examples" / "photos" / "leather.dng", long_side=DETAIL)
+    material, maps = capture_steps.capture(photo)
+    whole = capture_photo(photo, CaptureSettings(detail=DETAIL, generator="example")).material
+    assert torch.equal(
+        material.maps(64, 48, seed=3).stacked(), whole.maps(64, 48, seed=3).stacked()
+    )
+
+    flat, flat_maps = capture_steps.capture(photo, capture_steps.flat_prior)
+    assert torch.isfinite(flat_maps.stacked()).all()
+    assert flat_maps.height.std() < 0.5 * maps.height.std()  # relief is the prior's

@@ -1,5 +1,6 @@
 """glTF and USD exports."""
 
+import shutil
 import struct
 import zipfile
 from dataclasses import replace
@@ -151,40 +152,38 @@ def test_usd_is_valid(tmp_path, made, read_usd, material, name):
         assert read_usd.complaints(tmp_path / f"{name}.{suffix}") == []
 
 
-def test_the_usd_validators_reject_a_broken_stage(tmp_path, made, read_usd):
-    write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
-    file = tmp_path / "leather.usda"
+def test_the_usd_validators_reject_a_broken_stage(tmp_path, written, read_usd):
+    folder = shutil.copytree(written("usd", "leather")[0], tmp_path / "out")
+    file = folder / "leather.usda"
     file.write_text(file.read_text().replace("color3f inputs:diff", "float inputs:diff"))
     assert read_usd.complaints(file)
 
 
 @pytest.mark.parametrize("name", ["leather", "gold", "copper"])
-def test_the_materialx_of_usd_equals_that_of_materialx(tmp_path, made, read_usd, name):
+def test_the_materialx_of_usd_equals_that_of_materialx(tmp_path, written, read_usd, name):
     pytest.importorskip("MaterialX", reason="needs the extra `export`")
-    write_export(ExportJob(made[name], "leather"), "usd", tmp_path)
-    file, wrong = tmp_path / "leather.usda", tmp_path / "wrong.usda"
+    file, wrong = written("usd", name)[0] / f"{name}.usda", tmp_path / "wrong.usda"
     assert read_usd.misnamed(file) == []
     wrong.write_text(file.read_text().replace("inputs:specular_ior", "inputs:specular_IOR"))
-    assert read_usd.misnamed(wrong) == ["/leather/Material/OpenPBR.specular_IOR"]
+    assert read_usd.misnamed(wrong) == [f"/{name}/Material/OpenPBR.specular_IOR"]
 
 
 @pytest.mark.parametrize("name", [*MATERIALS, *METALS])
-def test_the_usd_network_gives_the_reflectance_of_the_maps(tmp_path, made, read_usd, name):
-    write_export(ExportJob(made[name], name), "usd", tmp_path)
-    for suffix in ("usda", "usdz"):
-        off = residual(made[name], read_usd.surface(tmp_path / f"{name}.{suffix}"))
+def test_the_usd_network_gives_the_reflectance_of_the_maps(tmp_path, made, written, read_usd, name):
+    stage = written("usd", name)[0] / f"{name}.usda"
+    # Elsewhere, so that only the package's own textures can be read.
+    package = shutil.copy(stage.with_suffix(".usdz"), tmp_path)
+    for file in (stage, package):
+        off = residual(made[name], read_usd.surface(file))
         assert off.mean < 0.01
         assert off.worst < 0.02
-        for file in tmp_path.glob("*.png"):
-            file.unlink()  # so that only the package's own can be read
 
 
 @pytest.mark.parametrize(("unit", "metres"), [(None, 1.0), (90.0, 0.09)])
-def test_heights_of_usd_are_in_metres(tmp_path, made, read_usd, unit, metres):
+def test_heights_of_usd_are_in_metres(made, written, read_usd, unit, metres):
     from pxr import Usd, UsdGeom
 
-    write_export(ExportJob(made["leather"], "leather", unit), "usd", tmp_path)
-    stage = Usd.Stage.Open(str(tmp_path / "leather.usda"))
+    stage = Usd.Stage.Open(str(written("usd", "leather", unit)[0] / "leather.usda"))
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     plane = UsdGeom.Mesh(stage.GetDefaultPrim().GetChild("Plane"))
     assert max(p[0] for p in plane.GetPointsAttr().Get()) == pytest.approx(metres)
@@ -198,9 +197,8 @@ def test_heights_of_usd_are_in_metres(tmp_path, made, read_usd, unit, metres):
     assert (found - height).abs().max() < 1e-4 * float(height.max() - height.min())
 
 
-def test_files_in_a_usdz_start_at_multiples_of_64_bytes(tmp_path, made):
-    write_export(ExportJob(made["leather"], "leather"), "usd", tmp_path)
-    path = tmp_path / "leather.usdz"
+def test_files_in_a_usdz_start_at_multiples_of_64_bytes(written):
+    path = written("usd", "leather")[0] / "leather.usdz"
     content = path.read_bytes()
     with zipfile.ZipFile(path) as package:
         assert package.testzip() is None

@@ -1,6 +1,7 @@
 """The document through MaterialX's own library, and its shader as Chromium draws it."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -24,29 +25,27 @@ def read_materialx():
 
 
 @pytest.mark.parametrize("name", [*MATERIALS, "gold"])
-def test_the_document_is_valid(tmp_path, made, read_materialx, name):
-    write_export(ExportJob(made[name], name, millimetres=90.0), "materialx", tmp_path)
+def test_the_document_is_valid(written, read_materialx, name):
+    folder, _ = written("materialx", name, 85.0)
     for variant in VARIANTS:
-        assert read_materialx.complaints(tmp_path / f"{name}{variant}.mtlx") == []
+        assert read_materialx.complaints(folder / f"{name}{variant}.mtlx") == []
 
 
-def test_the_validator_rejects_a_broken_document(tmp_path, made, read_materialx):
-    write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
-    file = tmp_path / "leather.mtlx"
+def test_the_validator_rejects_a_broken_document(tmp_path, written, read_materialx):
+    file = shutil.copytree(written("materialx", "leather")[0], tmp_path / "out") / "leather.mtlx"
     file.write_text(file.read_text().replace('nodename="alpha"', 'nodename="alfa"'))
     assert read_materialx.complaints(file)
 
 
 @pytest.mark.parametrize("name", [*MATERIALS, *METALS])
-def test_the_graph_gives_the_reflectance_of_the_maps(tmp_path, made, read_materialx, name):
-    write_export(ExportJob(made[name], name), "materialx", tmp_path)
-    off = residual(made[name], read_materialx.surface(tmp_path / f"{name}.mtlx"))
+def test_the_graph_gives_the_reflectance_of_the_maps(made, written, read_materialx, name):
+    file = written("materialx", name)[0] / f"{name}.mtlx"
+    off = residual(made[name], read_materialx.surface(file))
     assert off.worst < 1e-3
 
 
-def test_a_shader_is_generated_from_the_document(tmp_path, made, read_materialx):
-    write_export(ExportJob(made["leather"], "leather"), "materialx", tmp_path)
-    document = read_materialx.load(tmp_path / "leather.mtlx")
+def test_a_shader_is_generated_from_the_document(written, read_materialx):
+    document = read_materialx.load(written("materialx", "leather")[0] / "leather.mtlx")
     made_of_it = read_materialx.shader(document, "point")
     code = made_of_it.getSourceCode("pixel")
     assert "mx_generalized_schlick_bsdf(closureData" in code
@@ -74,15 +73,15 @@ def test_the_rendering_equals_that_of_matcap(tmp_path, made, read_materialx, var
 
 
 @pytest.mark.parametrize(("unit", "metres"), [(None, 1.0), (85.0, 0.085)])
-def test_heights_are_in_metres(tmp_path, made, read_materialx, unit, metres):
-    write_export(ExportJob(made["leather"], "leather", unit), "materialx", tmp_path)
-    document = read_materialx.load(tmp_path / "leather.mtlx")
+def test_heights_are_in_metres(made, written, read_materialx, unit, metres):
+    folder, _ = written("materialx", "leather", unit)
+    document = read_materialx.load(folder / "leather.mtlx")
     graph = document.getNodeGraph("NG_matcap")
     lift = graph.getOutput("displacement_out").getConnectedNode()
     assert lift.getInput("scale").getValue() == pytest.approx(metres)
     assert lift.getInput("scale").getUnit() == ("meter" if unit else "")
     file = lift.getConnectedNode("displacement").getInput("file").getValueString()
-    assert np.array_equal(read_exr(tmp_path / file).pixels[..., 0], made["leather"].height[0])
-    sidecar = json.loads((tmp_path / "leather_materialx.json").read_text())
+    assert np.array_equal(read_exr(folder / file).pixels[..., 0], made["leather"].height[0])
+    sidecar = json.loads((folder / "leather_materialx.json").read_text())
     assert sidecar["unit"] == ("mm" if unit else "plane unit")
     assert sidecar["tile"][0] == pytest.approx(2.0 * (unit or 1.0))

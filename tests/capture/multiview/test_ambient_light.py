@@ -34,7 +34,7 @@ from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 
-PHONE = PhoneCamera(width=640, height=480, supersampling=1)
+PHONE = PhoneCamera(width=480, height=360, supersampling=1)
 HAND = Hand(room=0.1, balanced=0.0)
 SIZE, LARGE = (72, 96), (288, 384)  # texels
 
@@ -203,7 +203,7 @@ def test_one_photograph_with_flash_and_one_without_make_a_capture(lit, tmp_path)
     paths = [tmp_path / "room.dng", tmp_path / "leather.dng"]
     for path, shot in zip(paths, (room, bright[0]), strict=True):
         write_shot(path, shot, 1)
-    settings = CaptureSettings(preset="instant", detail=192)
+    settings = CaptureSettings(preset="instant", detail=128)
     result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
     assert result.material.name == "out" or result.photo.name == "leather.dng"
     values = json.loads((tmp_path / "out/report.json").read_text())["multi_view"]

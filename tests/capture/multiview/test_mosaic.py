@@ -215,7 +215,7 @@ def test_predictions_join_without_a_step():
 def captured():
     """(cameras, result) of two photographs, each of which shows half of the other."""
     cameras, photos = photographed("leather", PHONE, 2, 5, hand=BESIDE)
-    settings = CaptureSettings(preset="instant", detail=192, union=True)
+    settings = CaptureSettings(preset="instant", detail=128, union=True)
     return cameras, capture_photo(photos[0], settings, others=photos[1:])
 
 
@@ -224,9 +224,9 @@ def test_two_photographs_that_share_a_half_make_one_mosaic(captured):
     mosaic = result.estimate.several.mosaic
     assert 1.35 < mosaic.times < 1.75
     maps = map_set_of(result.estimate.exemplar)
-    assert maps.size == mosaic.margins.around((192, 144))
-    assert maps.texel_size == pytest.approx(2.0 / 192)
-    assert result.estimate.first_rectangle.size == (192, 144)
+    assert maps.size == mosaic.margins.around((128, 96))
+    assert maps.texel_size == pytest.approx(2.0 / 128)
+    assert result.estimate.first_rectangle.size == (128, 96)
     # What nobody saw is believed by nobody.
     known = seen_by_any(result.estimate.several.views, mosaic).numpy()
     trusted = result.estimate.exemplar.confidence

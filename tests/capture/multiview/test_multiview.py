@@ -194,7 +194,7 @@ def test_slopes_stay_finite_where_nothing_is_seen():
 def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     _, photos = held
     lines = []
-    settings = CaptureSettings(preset="instant", detail=192)
+    settings = CaptureSettings(preset="instant", detail=128)
     result = capture_photo(
         photos[0], settings, lines.append, others=[photos[1], foreign, photos[2]]
     )

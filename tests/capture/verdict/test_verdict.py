@@ -412,7 +412,7 @@ def test_another_material_is_no_good(leather):
 
 
 def captured(photo):
-    return capture_photo(photo, CaptureSettings(preset="instant", detail=256)).verdict
+    return capture_photo(photo, CaptureSettings(preset="instant", detail=160)).verdict
 
 
 def test_a_good_photograph_is_not_called_failed_and_shows_no_cause():
