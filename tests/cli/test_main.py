@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from statistics import median
 
 import pytest
 import signals
@@ -44,9 +45,8 @@ def test_help_takes_at_most_three_times_the_import_of_numpy():
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
-    pairs = [(seconds(COMMAND, "--help"), seconds("import numpy")) for _ in range(3)]
-    shortest, unit = (min(times) for times in zip(*pairs, strict=True))
-    assert shortest < 3.0 * unit
+    # Other programs slow down both of a pair.
+    assert median(seconds(COMMAND, "--help") / seconds("import numpy") for _ in range(5)) < 3.0
 
 
 @pytest.mark.parametrize("module", ["matcap", "matcap.cli.main"])
