@@ -25,9 +25,8 @@ import torch
 
 from matcap.export import textures as tex
 from matcap.export import workflows
-from matcap.export.formats import Picture
 from matcap.export.gltf import ior
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import ExportJob, MapRows, Picture
 from matcap.export.presets import EngineModel
 from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile

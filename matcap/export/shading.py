@@ -14,8 +14,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_visibility
-from matcap.export.formats import Picture
-from matcap.export.job import ExportJob
+from matcap.export.job import ExportJob, Picture
 from matcap.export.texture_file import TextureFile
 from matcap.relight.environment_map import albedo
 
@@ -66,6 +65,8 @@ class TargetShading:
 
 
 MATCAP = TargetShading()
+# Of glTF's viewers: three.js, Babylon.js and Blender add multiple scattering.
+GLTF = TargetShading(layer="half", compensated=True)
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.export.formats import Picture, bands, brightest_channel, mean_channel, rgb
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import (
+    ExportJob,
+    MapRows,
+    Picture,
+    bands,
+    brightest_channel,
+    mean_channel,
+    rgb,
+)
 from matcap.export.shading import (
     DIRECTIONS,
     MATCAP,
