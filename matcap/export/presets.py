@@ -1,6 +1,6 @@
 """Textures without a document, named and packed as libraries and engines expect them.
 
-The normal map's direction is always in its name. engines.py has the table of all.
+The normal map's direction is always in its name. PRESETS is the table of all.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ from matcap.export.shading import (
     nearest,
 )
 from matcap.export.texture_file import TextureFile
-from matcap.export.textures import Workflow
 
 _MARGIN = 0.25  # share of the plain form's residual that another form must gain
 _SHADED = ("occlusion", "cavity", "bent")
@@ -382,11 +381,11 @@ def _seen_normal(textures: dict[str, TextureFile], seen: dict[str, Tensor]) -> T
     return bent * bent.new_tensor(sign)[:, None, None]
 
 
-# Presets: how texture libraries and game engines name and pack their textures, in one table.
+# How texture libraries and game engines name and pack their textures, in one table.
 #
 # An engine has a form for each workflow; if the user chooses none, PLAIN decides, and for engines
-# that it does not list the form with the smaller residual is written. Libraries have matcap's maps as
-# they are, not fitted to a shader.
+# that it does not list the form with the smaller residual is written. Libraries have matcap's maps
+# as they are, not fitted to a shader.
 
 _LARGEST_F0 = 0.16  # of Godot: F0 = 0.16 metallic_specular^2
 _UNREAL_F0 = 0.08  # F0 of Unreal's and Substance's specular level 1
@@ -448,11 +447,11 @@ _IMPORT = "run T_*_import.py in Unreal to import them with the right settings"
 _NORMAL = "set the Texture Type of Normal_GL to Normal map"
 
 # The workflow that every project can render, even where another has a smaller residual.
-PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
+PLAIN: dict[str, tex.Workflow] = {"unreal": "metallic"}
 
-# Textures by name: {map} of the file name, and content and depth (presets.CONTENT) where they are
+# Textures by name: {map} of the file name, and content and depth (CONTENT) where they are
 # not those of the texture's name and 8 bits.
-PRESETS: dict[str, Mapping[Workflow | None, Preset]] = {
+PRESETS: dict[str, Mapping[tex.Workflow | None, Preset]] = {
     "polyhaven": {
         None: Preset(
             "{stem}_{map}_{res}",

@@ -16,7 +16,7 @@ from torch.nn.functional import grid_sample
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_visibility
 from matcap.export.job import ExportJob, Picture
 from matcap.export.texture_file import TextureFile
-from matcap.relight.environment_map import albedo
+from matcap.relight.effects.multiscatter import albedo
 
 # Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).
 #

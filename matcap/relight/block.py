@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from matcap.relight.camera import Array, Vec, View, add, dot, scale
+from matcap.relight.camera import Array, Vec, add, dot, scale
 from matcap.relight.effects import multiscatter
-from matcap.relight.environment_map import Environment, albedo
+from matcap.relight.effects.multiscatter import albedo
+from matcap.relight.environment_map import Environment
 from matcap.relight.loops.library import CPixels, KeptArrays
-from matcap.relight.plan import Budget, Plan, Tally, VisibleRegion
+from matcap.relight.plan import Budget, Plan, Tally
 from matcap.relight.relief import Horizons, Relief
-from matcap.relight.scene import Film, Scene
+from matcap.relight.scene import Scene
 from matcap.relight.texture import Sampler, SurfaceSample, between
 
-# Ray-surface intersections, and the interface of surfaces.
+# Ray-surface intersections.
 
 TangentFrame = tuple[Vec, Vec, Vec]
 
@@ -59,22 +59,6 @@ class Hits:
         place = (every(self.place[0]), every(self.place[1]))
         footprint = every(self.footprint)
         return Hits(vector(self.point), frame, place, vector(self.to_view), None, footprint)
-
-
-class Shape(ABC):
-    """A surface in the scene."""
-
-    @abstractmethod
-    def framed(self, film: Film) -> float:
-        """Span of the picture's long side at the origin that shows all of it, in plane units."""
-
-    @abstractmethod
-    def hits(self, view: View, top: int, bottom: int) -> Hits:
-        """Intersections of the rays of rows [top, bottom) of the picture."""
-
-    @abstractmethod
-    def region(self, view: View, relief: Relief) -> tuple[VisibleRegion, float]:
-        """Box around the visible points, and the largest side of a pixel's footprint."""
 
 
 def to_frame(vector: Vec, frame: TangentFrame | None) -> Vec:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
@@ -18,12 +19,23 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
-from matcap.files.color import srgb_decode
+from matcap.files.color import srgb_decode, srgb_picture
+from matcap.files.exr import write_exr
+from matcap.files.names import check_suffix
+from matcap.files.output import Output
+from matcap.files.pixels import png_bytes
 from matcap.files.process import cores
 from matcap.relight.block import Block, Hits, ShadingContext
 from matcap.relight.camera import Array, view_of
-from matcap.relight.effects import DEFAULT_TOLERANCE, area, direct, environment
-from matcap.relight.effects.entries import EFFECTS
+from matcap.relight.effects import (
+    DEFAULT_TOLERANCE,
+    Bound,
+    area,
+    direct,
+    environment,
+    multiscatter,
+    relief,
+)
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.plan import TILE, Budget, Plan, SceneBounds, Step, Tally, gather
@@ -36,7 +48,6 @@ from matcap.relight.scene import (
     SphereLight,
     Surface,
     check_lights,
-    scene_from_light,
     too_bright,
 )
 from matcap.relight.surfaces import shape_of
@@ -44,6 +55,38 @@ from matcap.relight.texture import Sampler, SurfaceSample, Texture
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+
+# Table of all effects, in the order in which plans list them.
+#
+# A new effect is a file in effects/ and an entry here: its bound, and `move` (before the material
+# is looked up) or `add` (after all lights). Effects with neither are terms of the lights' loops.
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect: its bound, and the stage in which it acts."""
+
+    bound: Callable[[SceneBounds], Bound]
+    """Upper bound on the change from leaving it out."""
+    move: Callable[[Relief, Hits], tuple[Hits, Array]] | None = None
+    """Displaces hits; returns them and the height there."""
+    add: Callable[[Block], None] | None = None
+    """Adds radiance to a block after all lights."""
+
+
+EFFECTS: Mapping[str, Effect] = {
+    "diffuse": Effect(direct.diffuse_bound),
+    "specular": Effect(direct.specular_bound),
+    "falloff": Effect(direct.falloff_bound),
+    "area": Effect(area.bound),
+    "environment": Effect(environment.bound),
+    "filtering": Effect(relief.filtering_bound),
+    "parallax": Effect(relief.parallax_bound, move=relief.move),
+    "shadows": Effect(relief.shadows_bound),
+    "visibility": Effect(relief.visibility_bound),
+    "interreflection": Effect(relief.interreflection_bound, add=relief.add_interreflection),
+    "multiscatter": Effect(multiscatter.bound),
+}
 
 
 # Decide which effects run, from upper bounds on what leaving each out could change.
@@ -269,37 +312,6 @@ class Rendering:
     """Tiles in which each effect ran."""
 
 
-def relight(
-    source: Source,
-    scene: Scene | str = "top",
-    *,
-    seed: int = 0,
-    tolerance: float = DEFAULT_TOLERANCE,
-    effects: str = "auto",
-) -> NDArray[np.float32]:
-    """Render a material in a scene.
-
-    Args:
-        source: maps, or a material to read them from.
-        scene: the scene, or a light as scene_from_light takes it: "top", "-1,1,2".
-        seed: the realisation read from a material.
-        tolerance: largest change that leaving out effects may make, in code values of the film,
-            [0, 1]; half an 8-bit step by default. A smaller one also samples environments in more
-            directions.
-        effects: "auto", "all", "none", or effects forced on and off: "+shadows,-parallax".
-
-    Returns:
-        (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface. Exposure and
-        transfer of the film are not applied.
-
-    Raises:
-        MatcapError: a file of the scene is missing or broken, or an effect has no such name.
-    """
-    scene = scene_from_light(scene) if isinstance(scene, str) else scene
-    renderer = Renderer(source, scene, seed=seed)
-    return renderer.render(tolerance=tolerance, effects=effects).radiance
-
-
 class Renderer:
     """Renders one material in one scene.
 
@@ -333,11 +345,14 @@ class Renderer:
         """Render one picture.
 
         Args:
-            tolerance, effects: see relight().
+            tolerance: largest change that leaving out effects may make, in code values of the film,
+                [0, 1]. A smaller one than the default also samples environments in more directions.
+            effects: "auto", "all", "none", or effects forced on and off: "+shadows,-parallax".
             progress: called with the finished share of the picture, (0, 1], after each block.
 
         Raises:
-            MatcapError: a light too bright for single precision, or what relight() raises.
+            MatcapError: a light too bright for single precision, a file of the scene that is
+                missing or broken, or an effect of no such name.
         """
         start = perf_counter()
         scene, film = self.scene, self.film
@@ -476,3 +491,50 @@ def _workers() -> int:
     """Number of threads: OMP_NUM_THREADS, else the cores this process may use."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
     return int(limit) if limit.isdigit() and int(limit) > 0 else cores()
+
+
+# Writes radiance to files: exposed and encoded (PNG), or linear (EXR).
+
+Radiance = NDArray[np.float32]
+# Rows encoded together, to bound memory.
+_STRIP = 256
+
+
+def check_path(path: Path) -> None:
+    """Raise UsageError unless the suffix is a picture's."""
+    check_suffix(path, (".png", ".exr"), "picture")
+
+
+def encode(radiance: Radiance, film: Film) -> Radiance:
+    """Code values in [0, 1]: radiance times 2^exposure, clipped, through the transfer function."""
+    light = radiance * np.float32(film.gain)
+    return srgb_picture(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)
+
+
+def write_rendering(radiance: Radiance, path: Path, film: Film) -> None:
+    """Write a picture: .exr as float32 radiance, .png as 8-bit codes.
+
+    Raises:
+        UsageError: another suffix.
+        MatcapError: values that are not finite; the file cannot be written.
+    """
+    check_path(path)
+    with Output.file(path) as file:
+        if path.suffix.lower() == ".exr":
+            write_exr(file, radiance, half=False)
+        else:
+            if not all(np.isfinite(row).all() for row in radiance):
+                raise MatcapError.at(
+                    path.name,
+                    "the picture has values that are not finite",
+                    "write it as .exr to see where",
+                )
+            file.write_bytes(png_bytes(_codes(radiance, film)))
+
+
+def _codes(frame: Radiance, film: Film) -> NDArray[np.uint8]:
+    codes = np.empty(frame.shape, dtype=np.uint8)
+    for top in range(0, len(frame), _STRIP):
+        strip = slice(top, top + _STRIP)
+        codes[strip] = np.rint(encode(frame[strip], film) * 255.0)
+    return codes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from matcap.relight.block import Hits, Shape, to_frame
+from matcap.relight.block import Hits, to_frame
 from matcap.relight.camera import Array, Vec, View, dot, scale, subtract, vec
 from matcap.relight.plan import VisibleRegion
 from matcap.relight.relief import Relief
@@ -25,7 +25,7 @@ _MARGIN = 1.25
 
 
 @dataclass(frozen=True)
-class Round(Shape):
+class Round:
     """A sphere, or an upright cylinder as high as it is wide."""
 
     radius: float
@@ -89,7 +89,7 @@ def _vec(array: Array) -> Vec:
 
 
 @dataclass(frozen=True)
-class Flat(Shape):
+class Flat:
     """The plane z = 0, `extent` wide and high."""
 
     extent: tuple[float, float]
@@ -171,7 +171,7 @@ def _frontal(view: View) -> bool:
     return bool(np.abs(view.axes - np.diag([1.0, 1.0, -1.0])).max() < 1e-12)
 
 
-def shape_of(surface: Surface, texture: Texture) -> Shape:
+def shape_of(surface: Surface, texture: Texture) -> Flat | Round:
     """The shape of a surface."""
     width, height = (side / surface.repeat for side in texture.extent)
     if surface.type == "plane":

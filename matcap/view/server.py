@@ -29,8 +29,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.pages import EncodedPicture, Page, Pages, Place
-from matcap.view.subject import Viewable
+from matcap.view.subject import EncodedPicture, Page, Pages, Place, Viewable
 
 HOST = "127.0.0.1"
 _POLL = 0.05  # seconds between checks whether the client has disconnected

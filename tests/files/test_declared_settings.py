@@ -20,8 +20,7 @@ from safetensors.torch import save_file
 from matcap.batch.samples import BatchSettings
 from matcap.capture.settings import CaptureSettings, InspectSettings, OutputSettings
 from matcap.cli.main import main
-from matcap.cli.relight import RelightOptions
-from matcap.cli.view import ViewOptions
+from matcap.cli.relight import RelightOptions, ViewOptions
 from matcap.errors import MatcapError, UsageError
 from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import BlendOptions, DrawOptions, ReadOptions, SampleOptions

@@ -22,11 +22,11 @@ from matcap.relight import render
 from matcap.relight import render as planning
 from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, area
 from matcap.relight.effects import relief as parallax
-from matcap.relight.effects.entries import Effect
 from matcap.relight.plan import TILE, Budget, Tally
 from matcap.relight.relief import Relief
 from matcap.relight.render import (
     EFFECTS,
+    Effect,
     EffectChoice,
     Renderer,
     make_plan,

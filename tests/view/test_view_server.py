@@ -26,8 +26,17 @@ from matcap.view.level_of_detail import (
     halved,
     moments_of,
 )
-from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture, Pages, Place
-from matcap.view.subject import Maps, Materials
+from matcap.view.subject import (
+    APRON,
+    MIPS,
+    PAGE_HEIGHT,
+    WIDTH,
+    EncodedPicture,
+    Maps,
+    Materials,
+    Pages,
+    Place,
+)
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")
