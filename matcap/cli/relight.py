@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,9 +99,11 @@ def relight(
     """Show a material under another light."""
     from matcap.cli.display import ShareDisplay
     from matcap.errors import UsageError
+    from matcap.files.names import check_suffix
     from matcap.files.output import check_output, check_writable
+    from matcap.files.pixels import SUFFIXES, write_picture
     from matcap.files.process import check_memory
-    from matcap.relight.render import check_path, parse_choice, write_rendering
+    from matcap.relight.render import encode, parse_choice
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
@@ -112,7 +115,7 @@ def relight(
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
         raise UsageError.at(f"--{name}", f"maps of other sources {why}", "leave it out")
-    check_path(out)
+    check_suffix(out, SUFFIXES, "picture")
     parse_choice(asked.effects)
     inputs = files_read(path, Path(scene) if scene else None)
     inputs += [] if maps_from is None else [maps_from]
@@ -129,7 +132,7 @@ def relight(
         rendering = renderer.render(
             progress=shown.progress, tolerance=asked.tolerance, effects=asked.effects
         )
-        write_rendering(rendering.radiance, out, film)
+        write_picture(rendering.radiance, out, partial(encode, film=film))
     _report(rendering.plan, out, as_json=json, explain=explain)
     printer(quiet=quiet or json)(f"{maps_from or path}: {out}")
 

@@ -121,37 +121,32 @@ class ExportJob:
             f"the size was not measured: the plane is {width:.3g} x {height:.3g} m; --unit sets it",
         )
 
-    @cached_property
-    def diffuse(self) -> Picture:
-        """(H, W, 3) diffuse albedo."""
-        return self._picture(self.maps.diffuse)
-
-    @cached_property
-    def specular(self) -> Picture:
-        """(H, W) F0; (H, W, 3) if coloured."""
-        return self._picture(self.maps.specular)
-
     @property
     def coloured(self) -> bool:
         """Whether F0 is coloured."""
         return self.maps.specular.shape[-3] == COLOURED
 
-    @cached_property
-    def roughness(self) -> Picture:
-        """(H, W) perceptual roughness."""
-        return self._picture(self.maps.roughness)
+    def picture(self, kind: str) -> Picture:
+        """A map, computed once: diffuse, normal and bent (mean unoccluded direction) as (H, W, 3),
+        specular (F0) so if it is coloured, roughness, height in plane units, occlusion and cavity
+        (occlusion.py) as (H, W). Normals are unit vectors, +Y up.
+        """
+        if kind not in self._made:
+            self._made[kind] = self._picture(kind)
+        return self._made[kind]
 
     @cached_property
-    def height(self) -> Picture:
-        """(H, W) in plane units."""
-        return self._picture(self.maps.height)
+    def _made(self) -> dict[str, Picture]:
+        return {}
 
-    @cached_property
-    def normal(self) -> Picture:
-        """(H, W, 3) unit normals, +Y up."""
+    def _picture(self, kind: str) -> Picture:
         maps = self.maps
+        if kind in ("occlusion", "cavity", "bent"):
+            return self._shadows.whole("open" if kind == "occlusion" else kind)
+        if kind != "normal":
+            return _unstacked(getattr(maps, kind))
         if maps.painted is not None:
-            return self._picture(maps.painted)
+            return _unstacked(maps.painted)
         field, (width, height) = maps.height.detach().cpu().float(), maps.size
         made = np.empty((height, width, 3), dtype=np.float32)
         for band in bands(height):
@@ -161,33 +156,8 @@ class ExportJob:
 
     @cached_property
     def _shadows(self) -> Occlusion:
-        heights = self.height / np.float32(self.maps.texel_size)
+        heights = self.picture("height") / np.float32(self.maps.texel_size)
         return occlusion(heights, periodic=self.maps.periodic)
-
-    @cached_property
-    def occlusion(self) -> Picture:
-        """(H, W) ambient occlusion (occlusion.py), 1 is open."""
-        return self._shadows.whole("open")
-
-    @cached_property
-    def cavity(self) -> Picture:
-        """(H, W) ambient occlusion by neighbours of a few texels only."""
-        return self._shadows.whole("cavity")
-
-    @cached_property
-    def bent(self) -> Picture:
-        """(H, W, 3) bent normals: mean unoccluded direction, +Y up."""
-        return self._shadows.whole("bent")
-
-    @staticmethod
-    def _picture(tensor: Tensor) -> Picture:
-        return tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
-
-    def picture(self, kind: str) -> Picture:
-        """A map as (H, W, 3) or (H, W) float32: diffuse, specular, roughness, height, normal,
-        occlusion, cavity or bent.
-        """
-        return getattr(self, kind)
 
     def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapRows:
         """The texels of rows and columns; all by default."""
@@ -204,6 +174,10 @@ class ExportJob:
         # Adjusted relief may exceed the material's range.
         reach = self.reach if self.reach and needed <= self.reach else roomy(needed)
         return 2.0 * reach, 0.5
+
+
+def _unstacked(tensor: Tensor) -> Picture:
+    return tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
 
 
 @dataclass(frozen=True)

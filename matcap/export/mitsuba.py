@@ -37,7 +37,7 @@ def mitsuba(job: ExportJob) -> tex.Export:
     job.check_formats("Mitsuba", ("png", "jpg", "exr"), floats=True)
     textures = tex.standard_textures(job)
     exact_surface = partial(tex.standard_surface, textures)
-    bare = float(job.diffuse.max()) < _NO_DIFFUSE
+    bare = float(job.picture("diffuse").max()) < _NO_DIFFUSE
     blend = (
         {}
         if bare

@@ -112,7 +112,7 @@ class EngineModel:
         """
         if self.even is None:
             return self
-        mean = mean_channel(job.specular)
+        mean = mean_channel(job.picture("specular"))
         plain = mean[mean < workflows.FIRST_METAL]
         f0 = min(float(plain.mean()) if plain.size else self.dielectric[0], self.even)
         return replace(self, dielectric=(f0, f0))

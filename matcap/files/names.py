@@ -81,21 +81,19 @@ def name_fault(name: object) -> str:
     return f"is longer than {LONGEST} bytes" if len(name.encode()) > LONGEST else ""
 
 
-def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
+def plain_name(name: str, *, what: str = "the name") -> str:
     """Return the name if it is a plain file name, which cannot lead out of a folder.
 
     Args:
         what: that the error calls it.
-        where: file or option that the error names.
 
     Raises:
         UsageError: it is not a plain file name.
     """
     wrong = name_fault(name)
     if wrong:
-        raise UsageError.at(
-            where, f"{what} {shown(name)} is not a plain file name: it {wrong}", "choose another"
-        )
+        says = f"{what} {shown(name)} is not a plain file name: it {wrong}"
+        raise UsageError(says, remedy="choose another")
     return name
 
 
