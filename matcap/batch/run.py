@@ -23,8 +23,9 @@ from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import OnProgress, Progress, ignore_progress
 from matcap.files.output import check_writable
 from matcap.files.process import (
-    Cluster,
     RemoteResult,
+    dask_client,
+    dask_threads,
     free_bytes,
     postponed,
     settle_child,
@@ -175,8 +176,8 @@ class Machines:
     """
 
     def __init__(self, scheduler: str, work: DoWork, prepare: Prepare) -> None:
-        self._cluster = Cluster(scheduler, "dask worker --nthreads 1")
-        self.size = self._cluster.threads
+        self._client = dask_client(scheduler, "dask worker --nthreads 1")
+        self.size = dask_threads(self._client)
         self._work, self._prepare = work, prepare
         self._jobs: dict[RemoteResult, Any] = {}
 
@@ -186,7 +187,7 @@ class Machines:
 
     def start(self, job: Any) -> None:  # noqa: ANN401
         """Start a job on an idle worker."""
-        self._jobs[self._cluster.submit(_there, self._work, self._prepare, job)] = job
+        self._jobs[RemoteResult(self._client, _there, self._work, self._prepare, job)] = job
 
     def wait(self, seconds: float) -> list[Event]:
         """Events since the last call; waits up to `seconds` for the first."""
@@ -208,7 +209,7 @@ class Machines:
         for one in self._jobs:
             one.cancel()
         self._jobs = {}
-        self._cluster.close()
+        self._client.close()
 
 
 BatchWorkers = Processes | Machines

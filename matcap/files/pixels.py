@@ -340,8 +340,8 @@ def _by_openimageio(
     config.attribute("oiio:UnassociatedAlpha", 1)  # colours not multiplied by alpha
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        said = forget_error(oiio.geterror)  # or it is printed at exit
-        raise _not_decoded(path, kind, page, said)
+        fault = forget_error(oiio.geterror)  # or it is printed at exit
+        raise _not_decoded(path, kind, page, fault)
     try:
         exr = source.format_name() == "openexr"
         part = page.index
@@ -356,11 +356,11 @@ def _by_openimageio(
         check_pixels(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         read = _READ_AS.get(str(spec.format), "float")
         stored = source.read_image(part, 0, 0, spec.nchannels, read)
-        said = forget_error(source.geterror)
+        fault = forget_error(source.geterror)
     finally:
         source.close()
-    if stored is None or said:
-        raise _not_decoded(path, kind, page, said)
+    if stored is None or fault:
+        raise _not_decoded(path, kind, page, fault)
     stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
     if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
         stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
@@ -381,11 +381,11 @@ def _by_openimageio(
     )
 
 
-def _not_decoded(path: Path, kind: FileKind, page: TiffPicture, said: str) -> MatcapError:
+def _not_decoded(path: Path, kind: FileKind, page: TiffPicture, fault: str) -> MatcapError:
     """The error for a picture that OpenImageIO does not decode."""
     if page.compression:
         return unsupported(path, f"TIFF compression {page.compression}")
-    if kind is FileKind.OTHER and "truncated" not in said:
+    if kind is FileKind.OTHER and "truncated" not in fault:
         return MatcapError.at(
             path,
             "this is not a readable picture",

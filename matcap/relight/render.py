@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -97,7 +97,7 @@ class EffectChoice:
     """The user's choice: a start ("auto", "all" or "none") and effects forced on or off."""
 
     start: str = "auto"
-    forced: tuple[tuple[str, bool], ...] = ()
+    forced: Mapping[str, bool] = field(default_factory=dict)
 
 
 def parse_choice(text: str) -> EffectChoice:
@@ -106,7 +106,7 @@ def parse_choice(text: str) -> EffectChoice:
     Raises:
         UsageError: an unknown effect, or one without + or -.
     """
-    start, forced = "auto", []
+    start, forced = "auto", dict[str, bool]()
     for index, part in enumerate(part.strip() for part in text.split(",")):
         if index == 0 and part in ("auto", "all", "none"):
             start = part
@@ -119,8 +119,8 @@ def parse_choice(text: str) -> EffectChoice:
                 f"'{part}' is not an effect to switch",
                 f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
             )
-        forced.append((name, sign == "+"))
-    return EffectChoice(start, tuple(forced))
+        forced[name] = sign == "+"
+    return EffectChoice(start, forced)
 
 
 def radiance_tolerance(tolerance: float, film: Film) -> float:
@@ -139,18 +139,13 @@ def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Pl
         choice: start, and effects that the user forced on or off.
     """
     bounds = {name: effect.bound(limits) for name, effect in EFFECTS.items()}
-    forced = dict(choice.forced)
-    off: set[str] = set()
-    if choice.start == "none":
-        off = set(EFFECTS)
-    elif choice.start == "auto":
-        left = tolerance
-        for effect in sorted(EFFECTS, key=lambda name: bounds[name].radiance):
-            if effect in forced:
-                continue
-            if bounds[effect].radiance > left:
-                break
+    forced, left, off = choice.forced, tolerance, set()
+    if choice.start == "auto":
+        free = [effect for effect in EFFECTS if effect not in forced]
+        for effect in sorted(free, key=lambda name: bounds[name].radiance):
             left -= bounds[effect].radiance
+            if left < 0.0:
+                break
             off.add(effect)
     steps = []
     for effect, bound in bounds.items():
@@ -159,16 +154,8 @@ def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Pl
             reason = f"as asked for ({reason})"
         elif choice.start != "auto":
             reason = f"{choice.start} as asked for ({reason})"
-        on = forced.get(effect, effect not in off)
-        steps.append(
-            Step(
-                effect,
-                on,
-                bound.radiance,
-                reason,
-                spends=effect in off and effect not in forced and choice.start == "auto",
-            )
-        )
+        on = forced.get(effect, choice.start != "none" and effect not in off)
+        steps.append(Step(effect, on, bound.radiance, reason, spends=effect in off))
     return Plan(tuple(steps), tolerance)
 
 
@@ -334,7 +321,7 @@ class Renderer:
         self,
         *,
         tolerance: float = DEFAULT_TOLERANCE,
-        effects: str | EffectChoice = "auto",
+        effects: str = "auto",
         progress: OnShare = lambda _share: None,
     ) -> Rendering:
         """Render one picture.
@@ -352,7 +339,7 @@ class Renderer:
         start = perf_counter()
         scene, film = self.scene, self.film
         check_lights(scene.lights)
-        choice = parse_choice(effects) if isinstance(effects, str) else effects
+        choice = parse_choice(effects)
         shape = shape_of(scene.surface, self.texture)
         view = view_of(scene.camera, film, shape.framed(film))
         region, footprint = shape.region(view, self.relief)

@@ -29,7 +29,15 @@ from matcap.field.plane import BlockPart
 from matcap.field.source import compute_alone, single_threaded
 from matcap.files.names import StagedFolder, plain_name
 from matcap.files.output import Output, check_output, check_writable
-from matcap.files.process import Cluster, WorkerLost, keep_memory, settle_child, starting_children
+from matcap.files.process import (
+    RemoteResult,
+    WorkerLost,
+    dask_client,
+    dask_threads,
+    keep_memory,
+    settle_child,
+    starting_children,
+)
 from matcap.synth.pictures import (
     Assembly,
     PreviewPicture,
@@ -168,11 +176,10 @@ def worker_pool(
         MatcapError: no scheduler answers, or Dask is not installed.
     """
     if scheduler is not None:
-        with Cluster(scheduler) as machines:
-            shared_source = machines.shared(pickle.dumps(source))
-            yield WorkerPool(
-                partial(machines.submit, _render_alone, shared_source), _AHEAD * machines.threads
-            )
+        with dask_client(scheduler) as client:
+            shared_source = client.scatter(pickle.dumps(source), broadcast=True, hash=False)
+            submit = partial(RemoteResult, client, _render_alone, shared_source)
+            yield WorkerPool(submit, _AHEAD * dask_threads(client))
     elif workers == 1 or jobs <= _FEW or source.device_type != "cpu":
         with single_threaded(workers) as pool:
             yield WorkerPool(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)

@@ -391,8 +391,8 @@ class ForeignMaps:
         plain = DIELECTRIC if level is None else _LEVEL * level
         if metallic is None:
             if _METALS & set(re.findall("[a-z]+", self.files["base"].path.name.lower())):
-                said = "no metallic map: read as dielectric, though its name is a metal's"
-                self.notes.append(said)
+                note = "no metallic map: read as dielectric, though its name is a metal's"
+                self.notes.append(note)
             metallic = self._uniform(0.0)
         both = metallic_of(base, metallic, plain)
         return both[:3], both[3:] if metallic.any() else both[3:4]
