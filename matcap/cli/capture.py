@@ -48,8 +48,7 @@ def capture(
     photos: Annotated[
         list[Path],
         typer.Argument(
-            metavar="PHOTO...",
-            help="RAW, JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR.",
+            metavar="PHOTO...", help="RAW, JPEG, HEIC, AVIF, WebP, PNG, TIFF, EXR or HDR."
         ),
     ],
     out: Annotated[

@@ -83,8 +83,7 @@ def _matcap(
         bool, typer.Option("--verbose", "-v", help="Print the command's time and memory.")
     ] = False,
     debug: Annotated[
-        bool,
-        typer.Option("--debug", help="Show tracebacks of failures, as MATCAP_DEBUG=1 does."),
+        bool, typer.Option("--debug", help="Show tracebacks of failures, as MATCAP_DEBUG=1 does.")
     ] = False,
 ) -> None:
     if verbose:

@@ -50,10 +50,7 @@ StrictOption = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
-OverwriteOption = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace existing outputs."),
-]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing outputs.")]
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print only failures.", rich_help_panel=OUTPUT)
 ]

@@ -84,8 +84,7 @@ def relight(
         Path, typer.Argument(help="A material, a map set or a folder with either.")
     ] = Path("."),
     out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png."),
+        Path, typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png.")
     ] = Path("relit.png"),
     given: Annotated[Given, Fields(RelightOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
@@ -239,8 +238,7 @@ _SIDES, _LARGEST_PAGE = (1024, 512), 10_000_000  # default texels of a tile; byt
 @with_settings
 def view(
     path: Annotated[
-        Path,
-        typer.Argument(help="A material, a map set's folder or a capture's folder."),
+        Path, typer.Argument(help="A material, a map set's folder or a capture's folder.")
     ] = Path("."),
     given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions, but=("normals", "adjust"))] = NOTHING,

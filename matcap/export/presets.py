@@ -202,11 +202,7 @@ CONTENT: dict[str, tuple[str, str, bool | None]] = {
         "R: metallic, G: occlusion, B: detail, A: smoothness",
         False,
     ),
-    "smooth": (
-        "metallic metallic metallic smoothness",
-        "RGB: metallic, A: smoothness",
-        False,
-    ),
+    "smooth": ("metallic metallic metallic smoothness", "RGB: metallic, A: smoothness", False),
 }
 
 

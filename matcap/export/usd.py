@@ -162,10 +162,7 @@ def _shared(job: ExportJob) -> dict[str, TextureFile]:
 
 
 def _export(
-    job: ExportJob,
-    inputs: dict[str, TextureFile],
-    index: float,
-    surfaces: dict[str, MadeSurface],
+    job: ExportJob, inputs: dict[str, TextureFile], index: float, surfaces: dict[str, MadeSurface]
 ) -> tex.Export:
     """The export of textures of UsdPreviewSurface by kind, and its index of refraction."""
     layered = Layered.of(job)

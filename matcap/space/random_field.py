@@ -294,12 +294,7 @@ class RandomField:
 
 
 def random_field(
-    patch: Patch,
-    noise_channels: int,
-    waves: tuple[Wave, ...],
-    *,
-    levels: int,
-    cells: int = 0,
+    patch: Patch, noise_channels: int, waves: tuple[Wave, ...], *, levels: int, cells: int = 0
 ) -> RandomField:
     """Inputs of a decoder for one rectangle, as a batch of one.
 

@@ -201,8 +201,7 @@ def place_of(values: Mapping[str, str]) -> Place:
         return Place(level, column, row, seed, share)
     except (KeyError, ValueError) as error:
         raise UsageError(
-            "this does not name a page",
-            remedy="give level, column, row, seed and share as numbers",
+            "this does not name a page", remedy="give level, column, row, seed and share as numbers"
         ) from error
 
 

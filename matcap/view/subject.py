@@ -179,10 +179,7 @@ Viewable = Materials | Maps
 
 
 def open_subject(
-    path: Path,
-    second: Path | None = None,
-    seed: int = 0,
-    read: ReadOptions = AS_IT_IS,
+    path: Path, second: Path | None = None, seed: int = 0, read: ReadOptions = AS_IT_IS
 ) -> Viewable:
     """Open a material or map set for the page.
 

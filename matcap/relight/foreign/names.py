@@ -74,10 +74,7 @@ _WORDS: dict[str, tuple[str, ...]] = {
     "diffuse roughness": ("diffuseroughness",),
     "preview": ("preview", "thumb", "thumbnail", "render", "combined", "uv", "wireframe"),
 }  # fmt: skip
-_STYLES = {
-    "gl": ("gl", "ogl", "opengl", "yup"),
-    "dx": ("dx", "directx", "d3d", "ydown"),
-}
+_STYLES = {"gl": ("gl", "ogl", "opengl", "yup"), "dx": ("dx", "directx", "d3d", "ydown")}
 # Qualifiers of a map's name that do not change which map it is.
 _QUALIFIERS = (
     "map", "tex", "texture", "srgb", "linear", "lin", "raw", "noncolor", "data", "ambient", "mixed",

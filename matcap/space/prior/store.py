@@ -288,11 +288,7 @@ class Prior:
         return self.anchor(photo.pixels, coarse, plane, waves)
 
     def anchor(
-        self,
-        pixels: NDArray[np.float32],
-        coarse: CoarseFit,
-        plane: Plane,
-        waves: tuple[Wave, ...],
+        self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane, waves: tuple[Wave, ...]
     ) -> Anchor:
         """Position of a photograph, of waves in cycles per texel of `plane`; see code()."""
         code, times = self.code(pixels, coarse, plane), plane.size[0] / DETAIL
@@ -323,12 +319,7 @@ class Prior:
         return Anchor(latent.code, latent.numbers[CODE_SIZE:], waves)
 
     def draw(
-        self,
-        seed: int,
-        *,
-        near: Anchor | None = None,
-        spread: float = SPREAD,
-        name: str = "drawn",
+        self, seed: int, *, near: Anchor | None = None, spread: float = SPREAD, name: str = "drawn"
     ) -> Material:
         """Draw a material.
 

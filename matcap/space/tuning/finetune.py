@@ -357,11 +357,7 @@ OnStep = Callable[[float, float, float], None]  # share done, running error, sec
 
 
 def finetune(
-    decoder: Decoder,
-    code: Tensor,
-    scene: PhotographTarget,
-    settings: TuneSettings,
-    report: OnStep,
+    decoder: Decoder, code: Tensor, scene: PhotographTarget, settings: TuneSettings, report: OnStep
 ) -> Tuned:
     """Fine-tune a decoder to a photograph, in place.
 

@@ -69,12 +69,7 @@ def log_contrast(linear: Tensor, valid: Tensor) -> Tensor:
     return texture.std(dim=1, correction=0).clamp(0.02, 1.5)
 
 
-def untrained(
-    config: DecoderConfig,
-    coarse: CoarseFit,
-    contrast: Tensor,
-    seed: int,
-) -> Decoder:
+def untrained(config: DecoderConfig, coarse: CoarseFit, contrast: Tensor, seed: int) -> Decoder:
     """A random decoder with the mean maps of a coarse fit; for the latent vector zero.
 
     Args:
