@@ -19,7 +19,7 @@ from typing import Annotated, TextIO
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli import capture, doctor, export, inspect, relight, synth
+from matcap.cli import capture, doctor, inspect, relight, synth
 from matcap.cli.options import ALL, PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
@@ -44,7 +44,7 @@ app.command("batch")(capture.batch)
 app.command("inspect")(inspect.inspect)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
-app.command("export")(export.export)
+app.command("export")(synth.export)
 app.command("view")(relight.view)
 app.command("blend")(synth.blend)
 app.command("sample")(synth.sample)

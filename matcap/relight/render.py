@@ -20,7 +20,7 @@ from matcap.example.example import Example
 from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.process import cores
-from matcap.relight.block import Block, Hits, ShadingContext
+from matcap.relight.block import Block, Hits, ShadingContext, shape_of
 from matcap.relight.camera import Array, view_of
 from matcap.relight.effects import (
     DEFAULT_TOLERANCE,
@@ -45,7 +45,6 @@ from matcap.relight.scene import (
     check_lights,
     too_bright,
 )
-from matcap.relight.surfaces import shape_of
 from matcap.relight.texture import Sampler, SurfaceSample, Texture
 
 if TYPE_CHECKING:

@@ -43,12 +43,15 @@ from matcap.space.random_field import (
 from matcap.space.tuning.match import (
     MARGIN,
     Lesson,
+    PhotographTarget,
     Teacher,
+    compare_windows,
     log_contrast,
     reading_cells,
+    render_windows,
+    shuffled,
     untrained,
 )
-from matcap.space.tuning.windows import PhotographTarget, compare_windows, render_windows, shuffled
 
 # Schedule of fine-tuning: end, freezing and learning rate.
 
