@@ -170,7 +170,7 @@ def write_export(
 
     Args:
         folder: created if missing.
-        options: workflow, and options of presets; the default workflow is engines.PLAIN's, else
+        options: workflow, and options of presets; the default workflow is presets.PLAIN's, else
             the one with the smaller residual.
         inputs: files that were read, and must not be replaced.
         overwrite: replace existing files.
