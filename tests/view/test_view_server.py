@@ -305,7 +305,7 @@ def test_failures_are_not_kept(subject, monkeypatch):
 
 
 def test_memory_is_bounded(monkeypatch):
-    monkeypatch.setattr("matcap.view.pages._KEPT", 3)
+    monkeypatch.setattr("matcap.view.subject._KEPT", 3)
     pages = Pages(Maps(random_maps(16, 16), "flat"), workers=1)
     futures = [pages.ask(Place(0, column, 0)) for column in range(9)]
     assert all(future.result() for future in futures)
