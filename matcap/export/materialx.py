@@ -247,24 +247,21 @@ def _exact(job: ExportJob, files: dict[str, TextureFile]) -> bytes:
     return made.material(nodegraph="NG_matcap", output="surface_out")
 
 
+def _inputs(metalness: str, ior: str, normal: str) -> dict[str, tuple[str, str]]:
+    return {
+        "base_color": ("base_color", "color3"),
+        "tint": ("specular_color", "color3"),
+        "metalness": (metalness, "float"),
+        "roughness": ("specular_roughness", "float"),
+        "ior": (ior, "float"),
+        "normal": (normal, "vector3"),
+    }
+
+
 # Names and types of the shaders' inputs.
 INPUTS = {
-    "open_pbr_surface": {
-        "base_color": ("base_color", "color3"),
-        "tint": ("specular_color", "color3"),
-        "metalness": ("base_metalness", "float"),
-        "roughness": ("specular_roughness", "float"),
-        "ior": ("specular_ior", "float"),
-        "normal": ("geometry_normal", "vector3"),
-    },
-    "standard_surface": {
-        "base_color": ("base_color", "color3"),
-        "tint": ("specular_color", "color3"),
-        "metalness": ("metalness", "float"),
-        "roughness": ("specular_roughness", "float"),
-        "ior": ("specular_IOR", "float"),
-        "normal": ("normal", "vector3"),
-    },
+    "open_pbr_surface": _inputs("base_metalness", "specular_ior", "geometry_normal"),
+    "standard_surface": _inputs("metalness", "specular_IOR", "normal"),
 }
 
 

@@ -281,7 +281,7 @@ def _factors(page: Any) -> tuple[int, int]:  # noqa: ANN401
 
 # Opcodes of a DNG's raw picture: GainMap, which is lens shading, MapTable and MapPolynomial.
 #
-# Adobe DNG 1.7.1, chapter 7. raw.py applies gain maps, raw_samples.py maps of values. Other opcodes
+# Adobe DNG 1.7.1, chapter 7. raw.py applies gain maps, normalised() maps of values. Other opcodes
 # are not applied; those that change more than single bad pixels give a note.
 
 _MAP_TABLE, _MAP_POLYNOMIAL, _GAIN_MAP = 7, 8, 9
