@@ -1,6 +1,4 @@
-"""A worker's job: one sample to its folder, completely or not at all; memory, claims, records,
-states.
-"""
+"""A worker's job: one sample to its folder, all or nothing; memory, claims, records, states."""
 
 from __future__ import annotations
 

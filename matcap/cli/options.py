@@ -17,8 +17,6 @@ from typer.core import TyperCommand, TyperOption
 
 from matcap.files.settings import Setting, settings_in
 
-# Options that several commands share, and the groups of options in help.
-
 GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
 EVERYDAY, SEVERAL, OUTPUT, DECODER, ADVANCED = GROUPS
 ALL = "--help-all"

@@ -1,6 +1,4 @@
-"""`matcap synth`: a rectangle of a material's endless field; `sample`, `blend`: new materials;
-`export`: maps for another program.
-"""
+"""`matcap synth`, `export`: maps of a material as files; `sample`, `blend`: new materials."""
 
 from __future__ import annotations
 

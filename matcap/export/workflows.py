@@ -1,6 +1,4 @@
-"""Conversion of maps to a target's workflow (metallic, specular), and parameters fitted to its
-shading.
-"""
+"""Conversion of maps to a target's workflow, and parameters fitted to its shading."""
 
 from __future__ import annotations
 

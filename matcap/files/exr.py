@@ -232,7 +232,6 @@ def radiance_header(path: Path) -> RadianceHeader:
 
 _NUMBERS = {"EXPOSURE": 1, "COLORCORR": 3, "PRIMARIES": 8}
 
-
 # Reads and writes OpenEXR files: single-part scanlines, ZIP, Rec.709.
 #
 # Written with OpenEXR, which stores no date, so that equal arrays give equal files. Read with

@@ -24,7 +24,6 @@ _HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode categories of invisible chara
 _SEPARATORS = "/\\"
 _UNUSUAL = re.compile(r"[^\w .,()+-]+")
 
-
 _NUMBERED = re.compile(r"(.*[^\W\d_].*?)[_\- .]+(\d{1,2})")
 _LONGEST_SERIES = 24  # names; longer ones are a camera's counter
 
@@ -218,7 +217,6 @@ def note(sentence: str) -> None:
 
 MAKER_VERSION = "0.1.0"  # of matcap
 MAKER = f"matcap {MAKER_VERSION}"
-
 
 # Progress reports of long-running work, passed to a callback.
 

@@ -1,6 +1,4 @@
-"""Settings that users choose, each defined once at a dataclass field, and parsers of typed
-values.
-"""
+"""Settings that users choose, each defined once at a dataclass field; parsers of values."""
 
 from __future__ import annotations
 

@@ -21,10 +21,9 @@ from matcap.relight.camera import Array, Vec
 from matcap.relight.loops.library import CEnvironment, KeptArrays
 from matcap.relight.scene import EnvironmentLight
 
-# Read environment maps: latitude-longitude EXR or Radiance HDR.
-#
-# The result is linear Rec.709 radiance, converted from the primaries that the file states. Pixels
-# outside of an EXR file's data window are black. Code values (PNG, JPEG) are decoded, with a note.
+# Latitude-longitude EXR or Radiance HDR is read as linear Rec.709 radiance, converted from the
+# primaries that the file states. Pixels outside of an EXR's data window are black. Code values (PNG,
+# JPEG) are decoded, with a note.
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"
 _CUBE = "CubeFace Environment"

@@ -163,7 +163,6 @@ def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Pl
 # The loops of matcap.relight.loops do the work. With a budget an effect runs in the pixels whose
 # own bound exceeds it, without one in all.
 
-
 # Effects that run in every pixel if they run at all.
 _EVERYWHERE = ("diffuse", "specular", "falloff", "filtering", "parallax", "multiscatter")
 
@@ -248,7 +247,6 @@ def _light(block: Block) -> None:
 
 
 # Render maps in a scene: plan, then blocks of pixels in parallel.
-
 
 # Pixels shaded together: enough to make a block's fixed cost negligible.
 _BLOCK = 32768

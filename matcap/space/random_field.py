@@ -1,6 +1,4 @@
-"""The decoder's input: white and structured noise, lattice channels and a drawing, exact
-anywhere.
-"""
+"""The decoder's input: noise, lattice channels and a drawing, exact anywhere."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Writes a rectangle of any size to files, in memory that does not grow with its size,
-resumably.
-"""
+"""Writes a rectangle of any size to files, in bounded memory, resumably."""
 
 from __future__ import annotations
 

@@ -17,8 +17,6 @@ from matcap.errors import MatcapError
 from matcap.files.names import name_fault, note
 from matcap.files.settings import bounded
 
-# Recognise the map of each file of a set by its name.
-#
 # Bricks066_1K-JPG_Color.jpg   _NormalGL  _Roughness  _Displacement  _Metalness    ambientCG
 # rock_wall_08_diff_2k.jpg     _nor_gl    _rough      _disp          _arm          Poly Haven
 # brushed-metal-albedo.png     -normal-ogl  -roughness  -height  -metallic  -ao    FreePBR

@@ -192,7 +192,6 @@ _METALS = frozenset(
 _COLOURED_SHARE = 0.01  # of texels from which on a specular map is coloured
 _FLAT = 1e-6  # relative range below which a height map is flat
 
-
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
 _COLOURED = 0.02  # mean difference between channels above which a picture is coloured
 _MOST_FOLDERS = 50  # that are looked into

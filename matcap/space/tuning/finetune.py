@@ -159,7 +159,6 @@ class Renormalisation:
 
 _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 
-
 # Weights of the penalties added to the texture distance; docs/notes/prior.md.
 _SLOPE = 0.005  # of the mean squared slope
 # Of the variances of their logits, so that diffuse albedo is preferred where it explains the

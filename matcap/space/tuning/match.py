@@ -1,6 +1,4 @@
-"""Windows that are compared, the start of fine-tuning, its teacher, and matching of mean and
-contrast.
-"""
+"""Windows that are compared, the start of fine-tuning, its teacher, matching of contrast."""
 
 from __future__ import annotations
 
