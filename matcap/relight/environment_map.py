@@ -22,7 +22,7 @@ from matcap.relight.loops.library import CEnvironment, KeptArrays
 from matcap.relight.scene import EnvironmentLight
 
 # Latitude-longitude EXR or Radiance HDR is read as linear Rec.709 radiance, converted from the
-# primaries that the file states. Pixels outside of an EXR's data window are black. Code values (PNG,
+# primaries that the file states. Pixels outside of a data window are black. Code values (PNG,
 # JPEG) are decoded, with a note.
 
 _REMEDY = "give a latitude-longitude EXR or HDR picture"
