@@ -508,7 +508,7 @@ def _from_space(
 
 # Writes an image to a file: linear EXR or sRGB PNG, by suffix.
 
-SUFFIXES = (".exr", ".png")
+SUFFIXES = (".png", ".exr")
 _ROWS = 256  # of a picture that are encoded at once
 
 
