@@ -8,14 +8,14 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -65,18 +65,6 @@ if TYPE_CHECKING:
 
 # Runs blocks of a field as jobs of a worker pool, in order, a bounded number at a time.
 
-T_co = TypeVar("T_co", covariant=True)
-
-
-class Future(Protocol[T_co]):
-    """A future of concurrent.futures or of Dask."""
-
-    def result(self) -> T_co:
-        """Wait for the value and return it."""
-
-    def cancel(self) -> object:
-        """Cancel it if it has not started."""
-
 
 @dataclass(frozen=True)
 class BlockResult:
@@ -90,7 +78,8 @@ class BlockResult:
 
 # A part of a block, and the map set that it is written to.
 Job = tuple[BlockPart, PlannedMapSet]
-Submit = Callable[[Job], Future[BlockResult]]
+RunningJob = Future[BlockResult] | RemoteResult
+Submit = Callable[[Job], RunningJob]
 
 
 @dataclass(frozen=True)
@@ -109,7 +98,7 @@ class WorkerPool:
             MatcapError: raised by a job.
             WorkerLost: a worker process was killed.
         """
-        pending: deque[tuple[Job, Future[BlockResult]]] = deque()
+        pending: deque[tuple[Job, RunningJob]] = deque()
         try:
             for job in jobs:
                 pending.append((job, self.submit(job)))
@@ -145,7 +134,7 @@ def unpacked(packed: bytes) -> Source:
     return pickle.loads(packed)
 
 
-def _first(pending: deque[tuple[Job, Future[BlockResult]]]) -> tuple[Job, BlockResult]:
+def _first(pending: deque[tuple[Job, RunningJob]]) -> tuple[Job, BlockResult]:
     job, result = pending.popleft()
     return job, result.result()
 
@@ -194,7 +183,7 @@ def worker_pool(
             processes.shutdown(cancel_futures=True)
 
 
-def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[BlockResult]:
+def _submit(processes: ProcessPoolExecutor, job: Job) -> RunningJob:
     """Submit a job to a pool, which may start a process for it."""
     with starting_children():
         return processes.submit(_render_here, job)
