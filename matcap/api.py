@@ -116,11 +116,14 @@ def relight(
     Example:
         picture = matcap.relight(maps, "left")
     """
-    from matcap.relight.render import relight as render
+    from matcap.relight.render import Renderer
+    from matcap.relight.scene import scene_from_light
 
     if isinstance(source, str | PathLike):
         raise UsageError(
             f"{shown(source)} is a path, not a material or maps",
             remedy="open it with matcap.Material.load or matcap.read_mapset",
         )
-    return render(source, scene, seed=seed, tolerance=tolerance, effects=effects)
+    scene = scene_from_light(scene) if isinstance(scene, str) else scene
+    renderer = Renderer(source, scene, seed=seed)
+    return renderer.render(tolerance=tolerance, effects=effects).radiance

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from matcap.api import relight
 from matcap.brdf.maps import MapSet
 from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
-from matcap.relight.output import encode
-from matcap.relight.render import relight
+from matcap.relight.render import encode
 from matcap.relight.scene import Film, PointLight, Scene, Surface, exposing_intensity
 from matcap.relight.scenefile import SCENES
 from matcap_lab.simulate.files import write_dng

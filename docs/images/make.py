@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from matcap.api import relight
 from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
-from matcap.relight.render import relight
 from matcap.relight.scene import EnvironmentLight, Film, Scene, Surface
 from matcap_lab.simulate.photograph import PhoneCamera, expose, take
 from matcap_lab.simulate.specimen import EXAMPLES
@@ -94,9 +94,8 @@ def page(paths: list[Path]) -> None:
     import uvicorn
     from playwright.sync_api import sync_playwright
 
-    from matcap.view.pages import Pages, reference_photograph
     from matcap.view.server import listen, make_app, new_address
-    from matcap.view.subject import open_subject
+    from matcap.view.subject import Pages, open_subject, reference_photograph
 
     subject = open_subject(*paths[:2])
     beside = reference_photograph(paths[0], subject.facts.name, None, subject.first)

@@ -63,11 +63,7 @@ class ShotSample:
 
 
 def find_samples(
-    source: Path,
-    *,
-    group: Grouping = "none",
-    gap: float = 10.0,
-    without: Iterable[Path] = (),
+    source: Path, *, group: Grouping = "none", gap: float = 10.0, without: Iterable[Path] = ()
 ) -> list[ShotSample]:
     """List the samples of an input folder, sorted by folder and name.
 
@@ -372,13 +368,7 @@ def read_settings(file: Path) -> dict[str, Any]:
 _NO_MATTER = ("jobs", "group", "gap", "card", "prior")
 
 
-def identity(
-    photos: Sequence[Path],
-    settings: BatchSettings,
-    *,
-    prior: str,
-    card: str = "",
-) -> str:
+def identity(photos: Sequence[Path], settings: BatchSettings, *, prior: str, card: str = "") -> str:
     """SHA-256 of a material's inputs, 64 hexadecimal digits.
 
     Args:

@@ -1,6 +1,4 @@
-"""A worker's job: one sample to its folder, completely or not at all; memory, claims, records,
-states.
-"""
+"""A worker's job: one sample to its folder, all or nothing; memory, claims, records, states."""
 
 from __future__ import annotations
 
@@ -442,8 +440,8 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         warned.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
-        doubts = [f.line() for f in inspection.findings if not f.rating.fit]
-        warned += [f"{of}{doubt}" for doubt in doubts]
+        poor = [f.line() for f in inspection.findings if not f.rating.fit]
+        warned += [f"{of}{finding}" for finding in poor]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,

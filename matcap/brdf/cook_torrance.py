@@ -13,8 +13,6 @@ from torch import Tensor
 
 from matcap.brdf.maps import CHANNELS, MapSet, split_stacked
 
-# The Cook-Torrance microfacet BRDF [cook1982] that all of matcap uses.
-#
 # f = diffuse / pi + D G F / (4 (n.l)(n.v)): D is GGX [walter2007, eq. 33], G height-correlated
 # Smith [heitz2014, eq. 99], F Schlick's Fresnel [schlick1994, eq. 15]; alpha = roughness^2. No
 # multiple scattering between microfacets (relight adds it).

@@ -1,6 +1,4 @@
-"""Map sets that other programs saved or edited: colours, alpha, normals that disagree with the
-height.
-"""
+"""Map sets that other programs saved or edited: colours, alpha, normals unlike the height."""
 
 from __future__ import annotations
 

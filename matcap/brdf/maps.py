@@ -1,6 +1,4 @@
-"""MapSet: the SVBRDF maps of a rectangle of material; normals, slopes and integration of its
-height.
-"""
+"""MapSet: SVBRDF maps of a rectangle of material; normals, slopes, integration of its height."""
 
 from __future__ import annotations
 

@@ -28,11 +28,12 @@ from matcap.space.freeze import Drawing
 from matcap.space.prior.store import base_of, fold, load_drawing_start
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import InitialDecoder, TuneSettings
-from matcap.space.tuning.match import log_contrast, match_photograph
-from matcap.space.tuning.windows import (
+from matcap.space.tuning.match import (
     PhotographTarget,
     compare_windows,
     cut_windows,
+    log_contrast,
+    match_photograph,
     render_windows,
     self_difference,
 )

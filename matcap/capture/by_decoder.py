@@ -25,8 +25,12 @@ from matcap.space.tuning.finetune import (
     finetune,
     initial_decoder,
 )
-from matcap.space.tuning.match import match_photograph
-from matcap.space.tuning.windows import PhotographTarget, cut_windows, self_difference
+from matcap.space.tuning.match import (
+    PhotographTarget,
+    cut_windows,
+    match_photograph,
+    self_difference,
+)
 from matcap.statistics.compare import FilterBank
 
 # Texture statistics of windows of photographs, the target of optimisation.

@@ -228,9 +228,9 @@ class BatchDisplay(_Shown):
             if not self._quiet:
                 record = entry.record
                 verdict = record["verdict"]["rating"]
-                doubt = ", doubtful shot" if record["doubtful"] and Rating(verdict).fit else ""
+                quality = ", doubtful shot" if record["doubtful"] and Rating(verdict).fit else ""
                 left = self._left()
-                line = f"{count}{name}: {spoken_duration(record['seconds'])}, {verdict}{doubt}"
+                line = f"{count}{name}: {spoken_duration(record['seconds'])}, {verdict}{quality}"
                 self._say(f"{line}{f', {left}' if left else ''}")
         elif entry.state == "failed":
             self._say(f"{count}{name}: failed")

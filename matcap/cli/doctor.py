@@ -120,10 +120,10 @@ def _self_test() -> dict[str, Any]:
     """Draw a material from the prior, write its maps, read, light and export them."""
     began, fault = perf_counter(), None
     try:
+        from matcap.api import relight
         from matcap.export.targets import export_mapset
         from matcap.field.opened import open_tile
         from matcap.field.plane import Rectangle
-        from matcap.relight.render import relight
         from matcap.space.prior.store import load_prior
         from matcap.synth.request import SynthRequest
         from matcap.synth.stream import synthesise

@@ -19,7 +19,7 @@ from typing import Annotated, TextIO
 import typer
 from typer.core import TyperCommand
 
-from matcap.cli import batch, capture, doctor, export, inspect, relight, synth, view
+from matcap.cli import capture, doctor, inspect, relight, synth
 from matcap.cli.options import ALL, PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
@@ -40,12 +40,12 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.command("capture")(capture.capture)
-app.command("batch")(batch.batch)
+app.command("batch")(capture.batch)
 app.command("inspect")(inspect.inspect)
 app.command("synth", cls=synth.SynthCommand)(synth.synth)
 app.command("relight")(relight.relight)
-app.command("export")(export.export)
-app.command("view")(view.view)
+app.command("export")(synth.export)
+app.command("view")(relight.view)
 app.command("blend")(synth.blend)
 app.command("sample")(synth.sample)
 app.command("doctor")(doctor.doctor)
@@ -83,8 +83,7 @@ def _matcap(
         bool, typer.Option("--verbose", "-v", help="Print the command's time and memory.")
     ] = False,
     debug: Annotated[
-        bool,
-        typer.Option("--debug", help="Show tracebacks of failures, as MATCAP_DEBUG=1 does."),
+        bool, typer.Option("--debug", help="Show tracebacks of failures, as MATCAP_DEBUG=1 does.")
     ] = False,
 ) -> None:
     if verbose:

@@ -17,8 +17,6 @@ from typer.core import TyperCommand, TyperOption
 
 from matcap.files.settings import Setting, settings_in
 
-# Options that several commands share, and the groups of options in help.
-
 GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
 EVERYDAY, SEVERAL, OUTPUT, DECODER, ADVANCED = GROUPS
 ALL = "--help-all"
@@ -50,10 +48,7 @@ StrictOption = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
-OverwriteOption = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace existing outputs."),
-]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing outputs.")]
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print only failures.", rich_help_panel=OUTPUT)
 ]
@@ -192,25 +187,24 @@ def chosen(kind: Callable[..., T], given: Given) -> T:
 
 def _parameter(one: Setting) -> inspect.Parameter:
     """Option of a setting."""
-    rule = one.rule
     more: dict[str, Any] = {}
     kind: Any = one.kind
-    metavar = rule.metavar
-    default = None if rule.otherwise else _text_of_default(one.default)
-    if rule.words:
-        kind, metavar = str, "|".join(rule.words)  # the settings say which is meant
-    elif rule.several:
+    metavar = one.metavar
+    default = None if one.otherwise else _text_of_default(one.default)
+    if one.words:
+        kind, metavar = str, "|".join(one.words)  # the settings say which is meant
+    elif one.several:
         kind = list[str]
-    elif rule.parse is not None:
-        kind, more = Any, {"parser": typed(rule.parse)}
-    elif math.isfinite(rule.least):
-        metavar = metavar or _range(rule.least, rule.most)
-    off = rule.off or f"--no-{one.flag[2:]}"
+    elif one.parse is not None:
+        kind, more = Any, {"parser": typed(one.parse)}
+    elif math.isfinite(one.least):
+        metavar = metavar or _range(one.least, one.most)
+    off = one.off or f"--no-{one.flag[2:]}"
     flag = f"{one.flag}/{off}" if kind is bool else one.flag
-    names = [flag, *([rule.short] if rule.short else [])]
+    names = [flag, *([one.short] if one.short else [])]
     option: Any = typer.Option
-    shown = rule.otherwise or default is not None
-    more |= {"rich_help_panel": rule.group or None}
+    shown = one.otherwise or default is not None
+    more |= {"rich_help_panel": one.group or None}
     stated = option(*names, help=one.help, metavar=metavar, show_default=shown, **more)
     return inspect.Parameter(
         one.field,
@@ -238,6 +232,6 @@ def _plain(one: Setting, value: Any) -> Any:  # noqa: ANN401
     """Typer's value converted to the field's type; numbers are checked."""
     if isinstance(value, int | float):
         one.check(value, one.flag)
-    if one.rule.several and one.rule.parse is not None:
-        return one.rule.parse(value)
-    return Path(value) if one.kind is Path and one.rule.parse is None else value
+    if one.several and one.parse is not None:
+        return one.parse(value)
+    return Path(value) if one.kind is Path and one.parse is None else value

@@ -1,9 +1,10 @@
-"""`matcap relight`: maps under another light, as a picture."""
+"""`matcap relight`: maps under another light, as a picture; `matcap view`: as a page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +22,7 @@ from matcap.cli.options import (
     printer,
     with_settings,
 )
+from matcap.errors import MatcapError
 from matcap.field.options import ReadOptions
 from matcap.files import settings as values
 from matcap.files.settings import CheckedSettings, setting
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
     from matcap.relight.plan import Plan
     from matcap.relight.render import Renderer
     from matcap.relight.scene import Scene
-
 
 _LARGEST = 32768  # pixels of a side
 
@@ -83,8 +84,7 @@ def relight(
         Path, typer.Argument(help="A material, a map set or a folder with either.")
     ] = Path("."),
     out: Annotated[
-        Path,
-        typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png."),
+        Path, typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png.")
     ] = Path("relit.png"),
     given: Annotated[Given, Fields(RelightOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions)] = NOTHING,
@@ -98,10 +98,11 @@ def relight(
     """Show a material under another light."""
     from matcap.cli.display import ShareDisplay
     from matcap.errors import UsageError
+    from matcap.files.names import check_suffix
     from matcap.files.output import check_output, check_writable
+    from matcap.files.pixels import SUFFIXES, write_picture
     from matcap.files.process import check_memory
-    from matcap.relight.output import check_path, write_rendering
-    from matcap.relight.render import parse_choice
+    from matcap.relight.render import encode, parse_choice
 
     asked = chosen(RelightOptions, given)
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
@@ -113,7 +114,7 @@ def relight(
         name = next(name for name in reading if name != "generator")
         why = refused.get(name, "have their own")
         raise UsageError.at(f"--{name}", f"maps of other sources {why}", "leave it out")
-    check_path(out)
+    check_suffix(out, SUFFIXES, "picture")
     parse_choice(asked.effects)
     inputs = files_read(path, Path(scene) if scene else None)
     inputs += [] if maps_from is None else [maps_from]
@@ -130,7 +131,7 @@ def relight(
         rendering = renderer.render(
             progress=shown.progress, tolerance=asked.tolerance, effects=asked.effects
         )
-        write_rendering(rendering.radiance, out, film)
+        write_picture(rendering.radiance, out, partial(encode, film=film))
     _report(rendering.plan, out, as_json=json, explain=explain)
     printer(quiet=quiet or json)(f"{maps_from or path}: {out}")
 
@@ -154,8 +155,8 @@ def _scene(name: str | None, lights: Sequence[str], size: values.Size | None) ->
 def _photographed(path: Path, size: values.Size | None) -> Scene | None:
     """Camera and flash of a material's photograph as a scene, or None."""
     from matcap.field.opened import open_photographed
-    from matcap.relight.photographed import photographed_scene
     from matcap.relight.scene import Film
+    from matcap.relight.scenefile import photographed_scene
 
     known = open_photographed(path)
     if known is None:
@@ -204,3 +205,82 @@ def _report(plan: Plan, out: Path, *, as_json: bool, explain: bool) -> None:
         typer.echo(json.dumps(report, indent=2, allow_nan=False))
     elif explain:
         typer.echo(plan.table())
+
+
+# `matcap view`: a page that shows a material under a light that follows the pointer.
+
+
+@dataclass(frozen=True)
+class ViewOptions(CheckedSettings):
+    """Options of `matcap view`."""
+
+    blend: Path | None = setting(None, metavar="FILE")
+    """A second material to compare and blend with."""
+    photo: Path | None = setting(None, metavar="FILE", otherwise="that of the folder")
+    """A photograph to show next to the material."""
+    seed: int = setting(0, metavar="SEED", parse=values.seed)
+    """Seed of the realisation shown first."""
+    port: int = setting(0, least=0, most=65535, otherwise="a free one")
+    """Port of the server."""
+    opens: bool = setting(True, option="open")
+    """Open the page in the browser."""
+    html: Path | None = setting(None, metavar="FILE")
+    """Write a self-contained HTML file instead of running a server."""
+    tile: int | None = setting(
+        None, least=16, most=2048, otherwise="1024, or 512 where a page of 10 MB holds no more"
+    )
+    """Side of the seamless tile in --html, in texels, a multiple of 16."""
+
+
+_SIDES, _LARGEST_PAGE = (1024, 512), 10_000_000  # default texels of a tile; bytes of its page
+
+
+@with_settings
+def view(
+    path: Annotated[
+        Path, typer.Argument(help="A material, a map set's folder or a capture's folder.")
+    ] = Path("."),
+    given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
+    reading: Annotated[Given, Fields(ReadOptions, but=("normals", "adjust"))] = NOTHING,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Show a material in the browser: endless plane, sphere and cylinder, under any light.
+
+    The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
+    """
+    from matcap.cli.display import working
+    from matcap.files.output import check_output
+    from matcap.view.document import check_page_path, sealed_page, write_page
+    from matcap.view.subject import Materials, open_subject, reference_photograph
+
+    def announce(address: str) -> None:
+        typer.echo(address)
+        printer(quiet=quiet)("Ctrl-C ends it.")
+
+    read, asked = chosen(ReadOptions, reading), chosen(ViewOptions, given)
+    blend, photo, html = asked.blend, asked.photo, asked.html
+    if html is not None:
+        check_page_path(html)
+        inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
+        check_output([html], inputs=inputs, overwrite=overwrite)
+    subject = open_subject(path, blend, asked.seed, read)
+    material = subject.first if isinstance(subject, Materials) else None
+    shown = reference_photograph(path, subject.facts.name, photo, material)
+    if html is not None:
+        with working("writing the page", quiet=quiet):
+            for side in (asked.tile,) if asked.tile else _SIDES:
+                page = sealed_page(subject, side, shown)
+                if len(page) <= _LARGEST_PAGE or material is None:
+                    break
+            write_page(page, html)
+        printer(quiet=quiet)(f"wrote {html}")
+        return
+    try:
+        from matcap.view.server import serve
+    except ImportError as error:
+        raise MatcapError(
+            "the page needs the extra 'view'",
+            remedy='pip install "matcap[view]", or write one file with --html',
+        ) from error
+    serve(subject, shown, port=asked.port, opens=asked.opens, announce=announce)

@@ -23,17 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from matcap.export.formats import Container, Depth, Picture, rgb
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import Container, Depth, ExportJob, MapRows, Picture, rgb
 from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
-from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface
+from matcap.export.shading import GLTF, MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile
 from matcap.export.textures import BASE, Export, coded_normal, occlusion_entry, signed
 from matcap.export.workflows import base_colour, brightest, clipping_notes, specular_colour
 from matcap.files.names import MAKER
 
-# Viewers' shading: three.js, Babylon.js and Blender add multiple scattering.
-SHADING = TargetShading(layer="half", compensated=True)
 _LITERAL = TargetShading(layer="half")  # glTF's specification, which leaves that open
 # Largest F0 by the index of refraction, which diverges at 1; a factor above 1 does the rest.
 _LARGEST_F0 = 0.9
@@ -55,19 +52,19 @@ def gltf_specular(job: ExportJob) -> Export:
         UsageError: a depth or format that glTF does not allow.
     """
     job.check_formats("glTF", tuple(_MIME), floats=False)
-    largest = brightest(job, SHADING)
+    largest = brightest(job, GLTF)
     limit = min(max(largest, _LEAST_F0), _LARGEST_F0)
 
     def tint(piece: MapRows) -> Picture:
-        return rgb(specular_colour(piece, SHADING) / np.float32(largest))
+        return rgb(specular_colour(piece, GLTF) / np.float32(largest))
 
-    model = EngineModel(SHADING, "specular")
+    model = EngineModel(GLTF, "specular")
 
     def rough(piece: MapRows) -> Picture:
         return packed("occlusion", "roughness", "zero")(PackedMaterial(piece, model))
 
     textures = {
-        "base_color": _stored(job, lambda p: base_colour(p, SHADING), "8", BASE, srgb=True),
+        "base_color": _stored(job, lambda p: base_colour(p, GLTF), "8", BASE, srgb=True),
         "specular_color": _stored(job, tint, "8", "F0", srgb=True),
         "roughness": _stored(job, rough, "16", "occlusion, roughness"),
         "normal": _stored(job, coded_normal, "16", "normal"),
@@ -81,7 +78,7 @@ def gltf_specular(job: ExportJob) -> Export:
             read(seen["roughness"])[1:2],
             signed(read(seen["normal"])),
             layer=f0,
-            shading=SHADING,
+            shading=GLTF,
         )
 
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
@@ -91,7 +88,7 @@ def gltf_specular(job: ExportJob) -> Export:
         "of a single bounce": lambda read: replace(surface(textures, read), shading=_LITERAL),
     }
     glb = partial(_glb, job, textures, ior(limit), largest / limit)
-    notes = (*clipping_notes(job, SHADING), *job.size_notes())
+    notes = (*clipping_notes(job, GLTF), *job.size_notes())
     return Export({}, {f"{job.name}.glb": glb}, surfaces, notes, occlusion_entry(job))
 
 
@@ -102,7 +99,7 @@ def gltf_metallic(job: ExportJob) -> Export:
         UsageError: a depth or format that glTF does not allow.
     """
     job.check_formats("glTF", tuple(_MIME), floats=False)
-    start = EngineModel(SHADING, "metallic", even=_LARGEST_F0).of(job)
+    start = EngineModel(GLTF, "metallic", even=_LARGEST_F0).of(job)
     model = start.nearest(job, lambda tried: partial(_seen, tried, _metallic_textures(job, tried)))
     textures = _metallic_textures(job, model)
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}

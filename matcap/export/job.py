@@ -7,16 +7,51 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import COLOURED, MapSet, normals_of_rows
 from matcap.errors import MatcapError, UsageError
-from matcap.export.formats import Container, Depth, Picture, bands
 from matcap.export.occlusion import Occlusion, occlusion
 from matcap.field.material import Material
+
+# Pixel types in memory and file formats of textures.
+
+Depth = Literal["8", "16", "half", "float"]
+Container = Literal["png", "jpg", "exr"]
+Picture = NDArray[np.float32]
+
+CONTAINERS: dict[Container, tuple[Depth, ...]] = {
+    "png": ("8", "16"),
+    "jpg": ("8",),
+    "exr": ("half", "float"),
+}
+NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
+# Rows processed together: with 4096 columns the working set fits the cache.
+_BAND_ROWS = 64
+
+
+def rgb(values: Picture) -> Picture:
+    """(H, W, 3): grey (H, W) is repeated."""
+    return np.repeat(values[..., None], 3, axis=2) if values.ndim == 2 else values
+
+
+def brightest_channel(values: Picture) -> Picture:
+    """(H, W) maximum over channels of (H, W[, 3])."""
+    return values if values.ndim == 2 else values.max(axis=-1)
+
+
+def mean_channel(values: Picture) -> Picture:
+    """(H, W) mean over channels of (H, W[, 3])."""
+    return values if values.ndim == 2 else values.mean(axis=-1)
+
+
+def bands(height: int) -> list[slice]:
+    """Slices of _ROWS rows that cover a picture."""
+    return [slice(top, min(top + _BAND_ROWS, height)) for top in range(0, height, _BAND_ROWS)]
 
 
 @dataclass(frozen=True)
@@ -86,37 +121,32 @@ class ExportJob:
             f"the size was not measured: the plane is {width:.3g} x {height:.3g} m; --unit sets it",
         )
 
-    @cached_property
-    def diffuse(self) -> Picture:
-        """(H, W, 3) diffuse albedo."""
-        return self._picture(self.maps.diffuse)
-
-    @cached_property
-    def specular(self) -> Picture:
-        """(H, W) F0; (H, W, 3) if coloured."""
-        return self._picture(self.maps.specular)
-
     @property
     def coloured(self) -> bool:
         """Whether F0 is coloured."""
         return self.maps.specular.shape[-3] == COLOURED
 
-    @cached_property
-    def roughness(self) -> Picture:
-        """(H, W) perceptual roughness."""
-        return self._picture(self.maps.roughness)
+    def picture(self, kind: str) -> Picture:
+        """A map, computed once: diffuse, normal and bent (mean unoccluded direction) as (H, W, 3),
+        specular (F0) so if it is coloured, roughness, height in plane units, occlusion and cavity
+        (occlusion.py) as (H, W). Normals are unit vectors, +Y up.
+        """
+        if kind not in self._made:
+            self._made[kind] = self._picture(kind)
+        return self._made[kind]
 
     @cached_property
-    def height(self) -> Picture:
-        """(H, W) in plane units."""
-        return self._picture(self.maps.height)
+    def _made(self) -> dict[str, Picture]:
+        return {}
 
-    @cached_property
-    def normal(self) -> Picture:
-        """(H, W, 3) unit normals, +Y up."""
+    def _picture(self, kind: str) -> Picture:
         maps = self.maps
+        if kind in ("occlusion", "cavity", "bent"):
+            return self._shadows.whole("open" if kind == "occlusion" else kind)
+        if kind != "normal":
+            return _unstacked(getattr(maps, kind))
         if maps.painted is not None:
-            return self._picture(maps.painted)
+            return _unstacked(maps.painted)
         field, (width, height) = maps.height.detach().cpu().float(), maps.size
         made = np.empty((height, width, 3), dtype=np.float32)
         for band in bands(height):
@@ -126,33 +156,8 @@ class ExportJob:
 
     @cached_property
     def _shadows(self) -> Occlusion:
-        heights = self.height / np.float32(self.maps.texel_size)
+        heights = self.picture("height") / np.float32(self.maps.texel_size)
         return occlusion(heights, periodic=self.maps.periodic)
-
-    @cached_property
-    def occlusion(self) -> Picture:
-        """(H, W) ambient occlusion (occlusion.py), 1 is open."""
-        return self._shadows.whole("open")
-
-    @cached_property
-    def cavity(self) -> Picture:
-        """(H, W) ambient occlusion by neighbours of a few texels only."""
-        return self._shadows.whole("cavity")
-
-    @cached_property
-    def bent(self) -> Picture:
-        """(H, W, 3) bent normals: mean unoccluded direction, +Y up."""
-        return self._shadows.whole("bent")
-
-    @staticmethod
-    def _picture(tensor: Tensor) -> Picture:
-        return tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
-
-    def picture(self, kind: str) -> Picture:
-        """A map as (H, W, 3) or (H, W) float32: diffuse, specular, roughness, height, normal,
-        occlusion, cavity or bent.
-        """
-        return getattr(self, kind)
 
     def piece(self, rows: slice = slice(None), columns: slice = slice(None)) -> MapRows:
         """The texels of rows and columns; all by default."""
@@ -169,6 +174,10 @@ class ExportJob:
         # Adjusted relief may exceed the material's range.
         reach = self.reach if self.reach and needed <= self.reach else roomy(needed)
         return 2.0 * reach, 0.5
+
+
+def _unstacked(tensor: Tensor) -> Picture:
+    return tensor.detach().cpu().float().movedim(0, -1).squeeze(-1).numpy()
 
 
 @dataclass(frozen=True)

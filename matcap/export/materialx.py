@@ -25,9 +25,8 @@ import torch
 
 from matcap.export import textures as tex
 from matcap.export import workflows
-from matcap.export.formats import Picture
 from matcap.export.gltf import ior
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import ExportJob, MapRows, Picture
 from matcap.export.presets import EngineModel
 from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface, nearest
 from matcap.export.texture_file import TextureFile
@@ -89,10 +88,10 @@ class Layered:
     def of(job: ExportJob, shader: str = "open_pbr_surface") -> Layered:
         """The variant (index of refraction, or metalness) with the smallest residual."""
         # Least F0 of the index: the largest of the maps.
-        least = float(np.clip(job.specular.max(), _INDICES[0], _INDICES[-1]))
+        least = float(np.clip(job.picture("specular").max(), _INDICES[0], _INDICES[-1]))
         indices = (least, *(index for index in _INDICES if index > least))
         tried = [Layered.at(job, index) for index in indices]
-        if float(job.specular.max()) >= workflows.FIRST_METAL:
+        if float(job.picture("specular").max()) >= workflows.FIRST_METAL:
             tried.append(Layered.metallic(job))
         standard = tex.standard_textures(job)
         return tried[nearest(job, [partial(one.surface, standard, shader=shader) for one in tried])]
@@ -185,12 +184,11 @@ class _Document:
         for (name, kind), (file, texture) in zip(images, textures, strict=True):
             self.image(name, kind, file, texture)
         self.displaced(*height)
-        bent = _node(self.graph, "normalmap", "normal", "vector3")
-        _link(bent, "in", "vector3", "normal_texture")
+        _node(self.graph, "normalmap normal vector3", "in vector3 @normal_texture")
 
     def image(self, name: str, kind: str, file: str, texture: TextureFile) -> None:
         """Add an image node; its colour space is raw for data."""
-        node = _node(self.graph, "image", name, kind)
+        node = _node(self.graph, f"image {name} {kind}")
         space = "srgb_texture" if texture.colour_space == "sRGB" else "lin_rec709"
         made = ET.SubElement(node, "input", name="file", type="filename", value=file)
         made.set("colorspace", space if texture.srgb else "raw")
@@ -199,7 +197,7 @@ class _Document:
         """Name of a node with F0 as color3: the image, or if it is grey a conversion, `name`."""
         if self.job.coloured:
             return image
-        _link(_node(self.graph, "convert", name, "color3"), "in", "float", image)
+        _node(self.graph, f"convert {name} color3", f"in float @{image}")
         return name
 
     def displaced(self, file: str, texture: TextureFile) -> None:
@@ -207,9 +205,9 @@ class _Document:
         job, graph = self.job, self.graph
         self.image("height", "float", file, texture)
         width, tall = (side * job.unit_length for side in job.extent)
-        moved = _node(graph, "displacement", "moved", "displacementshader")
+        shader = "displacement moved displacementshader"
+        moved = _node(graph, shader, "displacement float @height")
         moved.set("doc", f"One tile is {width:.6g} x {tall:.6g} {job.unit}.")
-        _link(moved, "displacement", "float", "height")
         scale = _value(moved, "scale", "float", repr(job.metres))
         if job.millimetres is not None:
             scale.set("unittype", "distance")
@@ -218,7 +216,7 @@ class _Document:
 
     def material(self, **surface: str) -> bytes:
         """Add the material and return the file; `surface` are attributes that name its surface."""
-        material = _node(self.root, "surfacematerial", "M_matcap", "material")
+        material = _node(self.root, "surfacematerial M_matcap material")
         kind = "surfaceshader"
         ET.SubElement(material, "input", {"name": kind, "type": kind, **surface})
         _graph_link(material, "displacementshader", "displacementshader", "displacement_out")
@@ -230,51 +228,40 @@ def _exact(job: ExportJob, files: dict[str, TextureFile]) -> bytes:
     """The .mtlx file with matcap's reflectance; `files` are the five textures in order."""
     second = ("specular", "color3" if job.coloured else "float")
     made = _Document(job, files, ("diffuse", "color3"), second)
-    graph = made.graph
-    base = _node(graph, "oren_nayar_diffuse_bsdf", "diffuse_bsdf", "BSDF")
-    _link(base, "color", "color3", "diffuse")
-    _value(base, "roughness", "float", "0")
-    _link(base, "normal", "vector3", "normal")
+    _node(
+        made.graph, "oren_nayar_diffuse_bsdf diffuse_bsdf BSDF",
+        "color color3 @diffuse", "roughness float 0", "normal vector3 @normal",
+    )  # fmt: skip
     f0 = made.colour("f0", "specular")
-    alpha = _node(graph, "roughness_anisotropy", "alpha", "vector2")
-    _link(alpha, "roughness", "float", "roughness")
-    _value(alpha, "anisotropy", "float", "0")
-    gloss = _node(graph, "generalized_schlick_bsdf", "specular_bsdf", "BSDF")
-    _link(gloss, "color0", "color3", f0)
-    _value(gloss, "color82", "color3", "1, 1, 1")
-    _value(gloss, "color90", "color3", "1, 1, 1")
-    _value(gloss, "exponent", "float", "5")
-    _link(gloss, "roughness", "vector2", "alpha")
-    _link(gloss, "normal", "vector3", "normal")
-    _value(gloss, "distribution", "string", "ggx")
-    _value(gloss, "scatter_mode", "string", "R")
-    both = _node(graph, "add", "bsdf", "BSDF")
-    _link(both, "in1", "BSDF", "diffuse_bsdf")
-    _link(both, "in2", "BSDF", "specular_bsdf")
-    surface = _node(graph, "surface", "lit", "surfaceshader")
-    _link(surface, "bsdf", "BSDF", "bsdf")
-    _output(graph, "surface_out", "surfaceshader", "lit")
+    alpha = "roughness float @roughness", "anisotropy float 0"
+    _node(made.graph, "roughness_anisotropy alpha vector2", *alpha)
+    _node(
+        made.graph, "generalized_schlick_bsdf specular_bsdf BSDF",
+        f"color0 color3 @{f0}", "color82 color3 1, 1, 1", "color90 color3 1, 1, 1",
+        "exponent float 5", "roughness vector2 @alpha", "normal vector3 @normal",
+        "distribution string ggx", "scatter_mode string R",
+    )  # fmt: skip
+    _node(made.graph, "add bsdf BSDF", "in1 BSDF @diffuse_bsdf", "in2 BSDF @specular_bsdf")
+    _node(made.graph, "surface lit surfaceshader", "bsdf BSDF @bsdf")
+    _output(made.graph, "surface_out", "surfaceshader", "lit")
     return made.material(nodegraph="NG_matcap", output="surface_out")
+
+
+def _inputs(metalness: str, ior: str, normal: str) -> dict[str, tuple[str, str]]:
+    return {
+        "base_color": ("base_color", "color3"),
+        "tint": ("specular_color", "color3"),
+        "metalness": (metalness, "float"),
+        "roughness": ("specular_roughness", "float"),
+        "ior": (ior, "float"),
+        "normal": (normal, "vector3"),
+    }
 
 
 # Names and types of the shaders' inputs.
 INPUTS = {
-    "open_pbr_surface": {
-        "base_color": ("base_color", "color3"),
-        "tint": ("specular_color", "color3"),
-        "metalness": ("base_metalness", "float"),
-        "roughness": ("specular_roughness", "float"),
-        "ior": ("specular_ior", "float"),
-        "normal": ("geometry_normal", "vector3"),
-    },
-    "standard_surface": {
-        "base_color": ("base_color", "color3"),
-        "tint": ("specular_color", "color3"),
-        "metalness": ("metalness", "float"),
-        "roughness": ("specular_roughness", "float"),
-        "ior": ("specular_IOR", "float"),
-        "normal": ("normal", "vector3"),
-    },
+    "open_pbr_surface": _inputs("base_metalness", "specular_ior", "geometry_normal"),
+    "standard_surface": _inputs("metalness", "specular_IOR", "normal"),
 }
 
 
@@ -286,10 +273,8 @@ def _layered(job: ExportJob, files: dict[str, TextureFile], shader: str, layered
     made = _Document(job, files, ("base_color", "color3"), second)
     sources = {"tint": made.colour("tint", "f0")} if kind == "tint" else {}
     inputs = INPUTS[shader]
-    surface = _node(made.root, shader, "lit", "surfaceshader")
-    if shader == "standard_surface":
-        _value(surface, "base", "float", "1")
-        _value(surface, "specular", "float", "1")
+    ones = ("base float 1", "specular float 1") if shader == "standard_surface" else ()
+    surface = _node(made.root, f"{shader} lit surfaceshader", *ones)
     for name in ("base_color", kind, "roughness", "normal"):
         input_, type_ = inputs[name]
         _output(made.graph, f"{name}_out", type_, sources.get(name, name))
@@ -298,12 +283,13 @@ def _layered(job: ExportJob, files: dict[str, TextureFile], shader: str, layered
     return made.material(nodename="lit")
 
 
-def _node(parent: ET.Element, category: str, name: str, kind: str) -> ET.Element:
-    return ET.SubElement(parent, category, name=name, type=kind)
-
-
-def _link(node: ET.Element, name: str, kind: str, source: str) -> None:
-    ET.SubElement(node, "input", name=name, type=kind, nodename=source)
+def _node(parent: ET.Element, node: str, *inputs: str) -> ET.Element:
+    """Add a node, "CATEGORY NAME TYPE", with inputs "NAME TYPE VALUE"; @NAME links to a node."""
+    category, name, kind = node.split()
+    made = ET.SubElement(parent, category, name=name, type=kind)
+    for one in inputs:
+        _value(made, *one.split(maxsplit=2))
+    return made
 
 
 def _output(graph: ET.Element, name: str, kind: str, source: str) -> None:
@@ -316,4 +302,5 @@ def _graph_link(node: ET.Element, name: str, kind: str, output: str) -> None:
 
 
 def _value(node: ET.Element, name: str, kind: str, value: str) -> ET.Element:
-    return ET.SubElement(node, "input", name=name, type=kind, value=value)
+    given = {"nodename": value[1:]} if value.startswith("@") else {"value": value}
+    return ET.SubElement(node, "input", {"name": name, "type": kind, **given})

@@ -11,8 +11,7 @@ from importlib.resources import files as resources
 import numpy as np
 
 from matcap.export import textures as tex
-from matcap.export.formats import Picture, brightest_channel
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import ExportJob, MapRows, Picture, brightest_channel
 from matcap.export.shading import Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
 from matcap.relight.scene import NAMED_LIGHTS, exposing_intensity
@@ -38,7 +37,7 @@ def mitsuba(job: ExportJob) -> tex.Export:
     job.check_formats("Mitsuba", ("png", "jpg", "exr"), floats=True)
     textures = tex.standard_textures(job)
     exact_surface = partial(tex.standard_surface, textures)
-    bare = float(job.diffuse.max()) < _NO_DIFFUSE
+    bare = float(job.picture("diffuse").max()) < _NO_DIFFUSE
     blend = (
         {}
         if bare

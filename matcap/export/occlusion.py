@@ -10,9 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
-
-from matcap.export.formats import Picture
 
 # From each texel the height field is sampled along AZIMUTHS directions in growing steps; the
 # highest elevation is the horizon. Visibility and mean direction above it are closed-form integrals
@@ -25,6 +24,7 @@ from matcap.export.formats import Picture
 # that a ridge between two steps is lowered instead of missed. Cavity is `open` with horizons within
 # CAVITY_REACH texels. relight/relief.py is the renderer's version, with interreflection.
 
+Picture = NDArray[np.float32]
 AZIMUTHS = 12
 REACH = 256  # texels
 CAVITY_REACH = 4

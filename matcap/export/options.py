@@ -10,7 +10,7 @@ from matcap.files import settings as values
 from matcap.files.settings import CheckedSettings, setting
 
 if TYPE_CHECKING:
-    from matcap.export.formats import Container, Depth, NormalMaps
+    from matcap.export.job import Container, Depth, NormalMaps
     from matcap.export.textures import Workflow
     from matcap.files.settings import Size
 

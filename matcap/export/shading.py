@@ -14,15 +14,12 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS, dot, ggx, normalize, smith_visibility
-from matcap.export.formats import Picture
-from matcap.export.job import ExportJob
+from matcap.export.job import ExportJob, Picture
 from matcap.export.texture_file import TextureFile
-from matcap.relight.environment_map import albedo
+from matcap.relight.effects.multiscatter import albedo
 
-# Shading models of targets, where they differ from matcap's (brdf/cook_torrance.py).
-#
-# They differ in masking, diffuse lobe, Fresnel, and whether the specular layer darkens the diffuse
-# part. TargetShading lists these properties; one evaluation serves all targets. Sources:
+# Targets differ from brdf/cook_torrance.py in masking, diffuse lobe, Fresnel, and whether the
+# specular layer darkens the diffuse part: the properties of TargetShading. Sources:
 #
 # - glTF 2.0, appendix B: the diffuse part is multiplied by 1 - F(v.h) of the brightest channel.
 #   UsdPreviewSurface 2.6: of each channel; its metals have their own colour at grazing.
@@ -66,6 +63,8 @@ class TargetShading:
 
 
 MATCAP = TargetShading()
+# Of glTF's viewers: three.js, Babylon.js and Blender add multiple scattering.
+GLTF = TargetShading(layer="half", compensated=True)
 
 
 @dataclass(frozen=True)

@@ -44,14 +44,12 @@ from typing import Any
 
 from matcap.brdf.edited import seam_ratio
 from matcap.errors import UsageError
-from matcap.export.engines import PLAIN, PRESETS
-from matcap.export.formats import Container, NormalMaps
 from matcap.export.gltf import gltf_metallic, gltf_specular
-from matcap.export.job import ExportJob, known_scale, material_reach
+from matcap.export.job import Container, ExportJob, NormalMaps, known_scale, material_reach
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
 from matcap.export.options import ExportOptions
-from matcap.export.presets import pack
+from matcap.export.presets import PLAIN, PRESETS, pack
 from matcap.export.shading import Residual, residuals
 from matcap.export.texture_file import WRITERS
 from matcap.export.textures import Export, Workflow
@@ -172,7 +170,7 @@ def write_export(
 
     Args:
         folder: created if missing.
-        options: workflow, and options of presets; the default workflow is engines.PLAIN's, else
+        options: workflow, and options of presets; the default workflow is presets.PLAIN's, else
             the one with the smaller residual.
         inputs: files that were read, and must not be replaced.
         overwrite: replace existing files.

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from torch import Tensor
 
-from matcap.export.formats import Picture
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import ExportJob, MapRows, Picture
 from matcap.export.occlusion import settings
 from matcap.export.shading import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import TextureFile

@@ -27,9 +27,8 @@ from itertools import chain
 from pathlib import Path
 
 from matcap.export import textures as tex
-from matcap.export.formats import Picture, rgb
 from matcap.export.gltf import ior
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import ExportJob, MapRows, Picture, rgb
 from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import EngineModel, PackedMaterial
 from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface
@@ -163,10 +162,7 @@ def _shared(job: ExportJob) -> dict[str, TextureFile]:
 
 
 def _export(
-    job: ExportJob,
-    inputs: dict[str, TextureFile],
-    index: float,
-    surfaces: dict[str, MadeSurface],
+    job: ExportJob, inputs: dict[str, TextureFile], index: float, surfaces: dict[str, MadeSurface]
 ) -> tex.Export:
     """The export of textures of UsdPreviewSurface by kind, and its index of refraction."""
     layered = Layered.of(job)

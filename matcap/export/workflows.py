@@ -1,6 +1,4 @@
-"""Conversion of maps to a target's workflow (metallic, specular), and parameters fitted to its
-shading.
-"""
+"""Conversion of maps to a target's workflow, and parameters fitted to its shading."""
 
 from __future__ import annotations
 
@@ -14,8 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from matcap.export.formats import Picture, bands, brightest_channel, mean_channel, rgb
-from matcap.export.job import ExportJob, MapRows
+from matcap.export.job import (
+    ExportJob,
+    MapRows,
+    Picture,
+    bands,
+    brightest_channel,
+    mean_channel,
+    rgb,
+)
 from matcap.export.shading import (
     DIRECTIONS,
     MATCAP,

@@ -1,6 +1,4 @@
-"""Colour spaces: Rec.709, the sRGB transfer function, and conversions of code values to linear
-light.
-"""
+"""Colour spaces: Rec.709, the sRGB curve, and conversions of code values to linear light."""
 
 from __future__ import annotations
 

@@ -75,15 +75,9 @@ def meant_layer(
         layer for index, spec in flat for layer in _layers(index, spec, len(specs) > 1, where)
     ]
     if not layers:
-        deep = not flat
         names = ", ".join(name for spec in specs for name in spec.channelnames)[:80]
-        raise MatcapError.at(
-            where,
-            "this is a deep EXR file, which is not supported"
-            if deep
-            else f"none of its channels ({names}) is red or grey",
-            "flatten it, and save it with one sample a pixel" if deep else "save it as RGB",
-        )
+        what = f"none of its channels ({names}) is red or grey"
+        raise MatcapError.at(where, what, "save it as RGB") if flat else _deep(where)
 
     def order(layer: ExrLayer) -> tuple[int, int, int]:
         words = re.findall("[a-z]+", re.sub("(?<=[a-z])(?=[A-Z])", " ", layer.name).lower())
@@ -238,7 +232,6 @@ def radiance_header(path: Path) -> RadianceHeader:
 
 _NUMBERS = {"EXPOSURE": 1, "COLORCORR": 3, "PRIMARIES": 8}
 
-
 # Reads and writes OpenEXR files: single-part scanlines, ZIP, Rec.709.
 #
 # Written with OpenEXR, which stores no date, so that equal arrays give equal files. Read with
@@ -335,7 +328,8 @@ def read_exr(
         raise MatcapError.at(path, "this is not a readable EXR file", remedy)
     try:
         spec = source.spec()
-        refuse_deep(path, spec)
+        if spec.deep:
+            raise _deep(path)
         actual = (spec.width, spec.height)
         if size is not None and actual != size:
             raise MatcapError.at(
@@ -361,14 +355,13 @@ def read_exr(
     return NamedChannels(np.asarray(pixels, dtype=np.float32), names, stated_primaries(spec))
 
 
-def refuse_deep(path: Path, spec: Any) -> None:  # noqa: ANN401
-    """Raise MatcapError for a deep EXR file, by OpenImageIO's specification of it."""
-    if spec.deep:
-        raise MatcapError.at(
-            path,
-            "this is a deep EXR file, which is not supported",
-            "flatten it, and save it with one sample a pixel",
-        )
+def _deep(where: object) -> MatcapError:
+    """The error for a deep EXR file."""
+    return MatcapError.at(
+        where,
+        "this is a deep EXR file, which is not supported",
+        "flatten it, and save it with one sample a pixel",
+    )
 
 
 def stated_primaries(spec: Any) -> tuple[float, ...] | None:  # noqa: ANN401

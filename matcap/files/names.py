@@ -24,7 +24,6 @@ _HIDES = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # Unicode categories of invisible chara
 _SEPARATORS = "/\\"
 _UNUSUAL = re.compile(r"[^\w .,()+-]+")
 
-
 _NUMBERED = re.compile(r"(.*[^\W\d_].*?)[_\- .]+(\d{1,2})")
 _LONGEST_SERIES = 24  # names; longer ones are a camera's counter
 
@@ -81,21 +80,19 @@ def name_fault(name: object) -> str:
     return f"is longer than {LONGEST} bytes" if len(name.encode()) > LONGEST else ""
 
 
-def plain_name(name: str, *, what: str = "the name", where: str = "") -> str:
+def plain_name(name: str, *, what: str = "the name") -> str:
     """Return the name if it is a plain file name, which cannot lead out of a folder.
 
     Args:
         what: that the error calls it.
-        where: file or option that the error names.
 
     Raises:
         UsageError: it is not a plain file name.
     """
     wrong = name_fault(name)
     if wrong:
-        raise UsageError.at(
-            where, f"{what} {shown(name)} is not a plain file name: it {wrong}", "choose another"
-        )
+        says = f"{what} {shown(name)} is not a plain file name: it {wrong}"
+        raise UsageError(says, remedy="choose another")
     return name
 
 
@@ -220,7 +217,6 @@ def note(sentence: str) -> None:
 
 MAKER_VERSION = "0.1.0"  # of matcap
 MAKER = f"matcap {MAKER_VERSION}"
-
 
 # Progress reports of long-running work, passed to a callback.
 

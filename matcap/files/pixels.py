@@ -7,7 +7,7 @@ import struct
 import tempfile
 import warnings
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -63,9 +63,13 @@ def write_png(path: Path, coded: NDArray[np.float32], *, bits: int) -> None:
         MatcapError: a value is not finite.
         OSError: the file cannot be written.
     """
-    if not np.isfinite(coded).all():
-        raise MatcapError("has values that are not finite", where=path.name)
+    _check_finite(path, coded)
     path.write_bytes(png_bytes(quantised(coded, bits=bits)))
+
+
+def _check_finite(path: Path, values: NDArray[np.float32]) -> None:
+    if not np.isfinite(values).all():
+        raise MatcapError("has values that are not finite", where=path.name)
 
 
 def quantised(coded: NDArray[np.float32], *, bits: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -336,8 +340,8 @@ def _by_openimageio(
     config.attribute("oiio:UnassociatedAlpha", 1)  # colours not multiplied by alpha
     source = oiio.ImageInput.open(str(path), config)
     if source is None:
-        said = forget_error(oiio.geterror)  # or it is printed at exit
-        raise _not_decoded(path, kind, page, said)
+        fault = forget_error(oiio.geterror)  # or it is printed at exit
+        raise _not_decoded(path, kind, page, fault)
     try:
         exr = source.format_name() == "openexr"
         part = page.index
@@ -352,11 +356,11 @@ def _by_openimageio(
         check_pixels(path, max(spec.width, spec.full_width), max(spec.height, spec.full_height))
         read = _READ_AS.get(str(spec.format), "float")
         stored = source.read_image(part, 0, 0, spec.nchannels, read)
-        said = forget_error(source.geterror)
+        fault = forget_error(source.geterror)
     finally:
         source.close()
-    if stored is None or said:
-        raise _not_decoded(path, kind, page, said)
+    if stored is None or fault:
+        raise _not_decoded(path, kind, page, fault)
     stored, partial = page.as_meant(np.asarray(stored), spec.alpha_channel), False
     if str(spec.format) in _SIGNED and stored.min() >= 0.0:  # codes; below 0 they are vectors
         stored = np.rint(stored * np.float32(65535)).astype(np.uint16)
@@ -377,11 +381,11 @@ def _by_openimageio(
     )
 
 
-def _not_decoded(path: Path, kind: FileKind, page: TiffPicture, said: str) -> MatcapError:
+def _not_decoded(path: Path, kind: FileKind, page: TiffPicture, fault: str) -> MatcapError:
     """The error for a picture that OpenImageIO does not decode."""
     if page.compression:
         return unsupported(path, f"TIFF compression {page.compression}")
-    if kind is FileKind.OTHER and "truncated" not in said:
+    if kind is FileKind.OTHER and "truncated" not in fault:
         return MatcapError.at(
             path,
             "this is not a readable picture",
@@ -504,7 +508,8 @@ def _from_space(
 
 # Writes an image to a file: linear EXR or sRGB PNG, by suffix.
 
-SUFFIXES = (".exr", ".png")
+SUFFIXES = (".png", ".exr")
+_ROWS = 256  # of a picture that are encoded at once
 
 
 def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> bytes:
@@ -517,8 +522,15 @@ def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> byt
     return stored.getvalue()
 
 
-def write_picture(image: NDArray[np.float32], path: Path) -> None:
-    """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit sRGB.
+def write_picture(
+    image: NDArray[np.float32],
+    path: Path,
+    encode: Callable[[NDArray[np.float32]], NDArray[np.float32]] = srgb_picture,
+) -> None:
+    """Write a linear Rec.709 picture (H, W, 3): .exr as float32 radiance, .png as 8-bit codes.
+
+    Args:
+        encode: code values in [0, 1] of rows of the picture, for PNG.
 
     Raises:
         UsageError: another suffix.
@@ -528,8 +540,13 @@ def write_picture(image: NDArray[np.float32], path: Path) -> None:
     with Output.file(path) as file:
         if path.suffix.lower() == ".exr":
             write_exr(file, image, half=False)
-        else:
-            write_png(file, srgb_picture(image), bits=8)
+            return
+        codes = np.empty(image.shape, np.uint8)
+        for top in range(0, len(image), _ROWS):  # in strips, to bound memory
+            rows = image[top : top + _ROWS]
+            _check_finite(path, rows)
+            codes[top : top + _ROWS] = quantised(encode(rows), bits=8)
+        file.write_bytes(png_bytes(codes))
 
 
 # Reads masks from images, as grey or as transparency.

@@ -288,8 +288,8 @@ _PATIENCE = 10  # seconds for the scheduler to answer
 _WORKERS_WITHIN = 60  # seconds for a first worker to come
 
 
-class Cluster:
-    """The workers of a scheduler; a context manager.
+def dask_client(scheduler: str, worker: str = "dask worker") -> Any:  # noqa: ANN401
+    """The client of a scheduler that has workers; a context manager.
 
     Args:
         scheduler: address, such as tcp://host:8786.
@@ -298,60 +298,40 @@ class Cluster:
     Raises:
         MatcapError: Dask is not installed, the scheduler does not answer, or it has no worker.
     """
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:
+        raise MatcapError(
+            "clusters need dask.distributed", remedy='run: pip install "matcap[cluster]"'
+        ) from error
+    try:
+        client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise MatcapError.at(
+            scheduler,
+            "no dask scheduler answers there",
+            f"start one with `dask scheduler`, and workers with `{worker}`",
+        ) from error
+    try:
+        client.wait_for_workers(1, timeout=_WORKERS_WITHIN)
+    except TimeoutError as error:
+        client.close()
+        raise MatcapError.at(
+            scheduler, "the dask scheduler has no workers", f"start some with `{worker}`"
+        ) from error
+    return client
 
-    def __init__(self, scheduler: str, worker: str = "dask worker") -> None:
-        try:
-            distributed: Any = import_module("distributed")
-        except ImportError as error:
-            raise MatcapError(
-                "clusters need dask.distributed", remedy='run: pip install "matcap[cluster]"'
-            ) from error
-        try:
-            client = distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise MatcapError.at(
-                scheduler,
-                "no dask scheduler answers there",
-                f"start one with `dask scheduler`, and workers with `{worker}`",
-            ) from error
-        try:
-            client.wait_for_workers(1, timeout=_WORKERS_WITHIN)
-        except TimeoutError as error:
-            client.close()
-            raise MatcapError.at(
-                scheduler, "the dask scheduler has no workers", f"start some with `{worker}`"
-            ) from error
-        self._client = client
 
-    @property
-    def threads(self) -> int:
-        """Number of threads of all workers."""
-        return max(1, sum(self._client.nthreads().values()))
-
-    def shared(self, value: object) -> object:
-        """Send a value to every worker; return a handle to pass to submit()."""
-        return self._client.scatter(value, broadcast=True, hash=False)
-
-    def submit(self, function: Callable[..., Any], *arguments: object) -> RemoteResult:
-        """Call a module-level function on a worker."""
-        return RemoteResult(self._client.submit(function, *arguments, pure=False))
-
-    def close(self) -> None:
-        """Disconnect from the scheduler."""
-        self._client.close()
-
-    def __enter__(self) -> Cluster:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+def dask_threads(client: Any) -> int:  # noqa: ANN401
+    """Number of threads of all workers."""
+    return max(1, sum(client.nthreads().values()))
 
 
 class RemoteResult:
-    """Future of a function that was submitted to a cluster."""
+    """Future of a module-level function that is called on a worker of a cluster."""
 
-    def __init__(self, future: Any) -> None:  # noqa: ANN401
-        self._future = future
+    def __init__(self, client: Any, function: Callable[..., Any], *arguments: object) -> None:  # noqa: ANN401
+        self._future = client.submit(function, *arguments, pure=False)
 
     def done(self) -> bool:
         """Whether it has finished or failed."""

@@ -1,6 +1,4 @@
-"""Settings that users choose, each defined once at a dataclass field, and parsers of typed
-values.
-"""
+"""Settings that users choose, each defined once at a dataclass field; parsers of values."""
 
 from __future__ import annotations
 
@@ -188,17 +186,24 @@ _WORDS = {int: "a whole number", float: "a number", bool: "true or false"}
 
 
 @dataclass(frozen=True)
-class SettingRule:
-    """Constraints and names of a setting."""
+class Setting:
+    """A setting: a field of a dataclass, with its constraints."""
 
+    field: str
+    """Name of the field."""
+    name: str
+    """Name that users type, with underscores."""
+    kind: type
+    """int, float, bool, Path or str, of the value before parsing."""
+    default: Any
+    help: str
+    """Docstring of the field."""
     least: float = -math.inf
     """Least value of a number."""
     most: float = math.inf
     """Greatest value of a number."""
     words: tuple[str, ...] = ()
     """Choices of a text; empty allows any."""
-    option: str = ""
-    """Name of the option; "" is the field's name."""
     short: str = ""
     """One-letter form of the option."""
     metavar: str | None = None
@@ -214,27 +219,6 @@ class SettingRule:
     group: str = ""
     """Group of the option in help; "" is the first."""
 
-
-def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401
-    """A dataclass field that users can set; `rule` has the fields of SettingRule."""
-    return field(default=default, metadata={"rule": SettingRule(**rule)})
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A setting of a dataclass."""
-
-    field: str
-    """Name of the field."""
-    name: str
-    """Name that users type, with underscores."""
-    kind: type
-    """int, float, bool, Path or str, of the value before parsing."""
-    default: Any
-    help: str
-    """Docstring of the field."""
-    rule: SettingRule
-
     @property
     def flag(self) -> str:
         """Name of the option: long, such as --time-limit, or short where `option` is."""
@@ -246,17 +230,16 @@ class Setting:
         Raises:
             UsageError: not a choice, out of range, or not finite.
         """
-        rule = self.rule
-        if rule.words and value is not None and value not in rule.words:
-            remedy = nearest(str(value), rule.words)
+        if self.words and value is not None and value not in self.words:
+            remedy = nearest(str(value), self.words)
             raise UsageError.at(where, f"there is no {self.name} {_short(value)}", remedy)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return
-        if not (math.isfinite(value) and rule.least <= value <= rule.most):
+        if not (math.isfinite(value) and self.least <= value <= self.most):
             raise UsageError.at(
                 where,
                 f"{_short(value)} is out of range",
-                f"give between {rule.least:g} and {rule.most:g}",
+                f"give between {self.least:g} and {self.most:g}",
             )
 
     def typed(self, value: Any, where: str) -> Any:  # noqa: ANN401
@@ -265,20 +248,20 @@ class Setting:
         Raises:
             UsageError: a value of a wrong type, or one that check() refuses.
         """
-        if self.rule.several:
+        if self.several:
             value = [value] if isinstance(value, str) else value
             fits = isinstance(value, list | tuple) and all(isinstance(one, str) for one in value)
-        elif self.rule.parse is not None:
+        elif self.parse is not None:
             fits = not isinstance(value, bool | dict)
         else:
             kinds = {float: (int, float), Path: (str, Path)}.get(self.kind, (self.kind,))
             fits = isinstance(value, kinds) and isinstance(value, bool) == (self.kind is bool)
         if not fits:
-            wanted = "a list" if self.rule.several else _WORDS.get(self.kind, "a text")
+            wanted = "a list" if self.several else _WORDS.get(self.kind, "a text")
             raise UsageError.at(where, f"{self.name} is {_short(value)}", f"give {wanted}")
         try:
-            if self.rule.parse is not None:
-                value = self.rule.parse(value)
+            if self.parse is not None:
+                value = self.parse(value)
             elif self.kind in (float, Path):
                 value = self.kind(value)
         except ValueError as error:
@@ -290,19 +273,26 @@ class Setting:
         return value
 
 
+def setting(default: Any, **rule: Any) -> Any:  # noqa: ANN401
+    """A dataclass field that users can set; `rule` has Setting's entries from `least` on.
+
+    Its entry `option` is the option's name where that is not the field's.
+    """
+    return field(default=default, metadata={"setting": rule})
+
+
 @cache
 def settings_in(kind: type) -> Mapping[str, Setting]:
     """The settings of a dataclass, by field name."""
     docs = field_docs(kind)
     settings = {}
     for one in fields(kind):
-        if "rule" in one.metadata:
-            rule: SettingRule = one.metadata["rule"]
+        if "setting" in one.metadata:
+            rule = dict(one.metadata["setting"])
             first = re.split(r"\W", str(one.type), maxsplit=1)[0]
-            settings[one.name] = Setting(
-                one.name, rule.option or one.name, _KINDS.get(first, str), one.default,
-                docs.get(one.name, ""), rule,
-            )  # fmt: skip
+            about = (_KINDS.get(first, str), one.default, docs.get(one.name, ""))
+            name = rule.pop("option", one.name)
+            settings[one.name] = Setting(one.name, name, *about, **rule)
     return settings
 
 

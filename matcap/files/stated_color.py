@@ -365,9 +365,9 @@ def _of_gamma(gamma: bytes | None, corners: bytes | None) -> StatedColor:
         raise ValueError("an exponent that no picture has")
     flat = exponent is not None and abs(exponent - 1.0) < 1e-3
     curve = linear if flat else power(exponent or 2.2)
-    said = [] if exponent is None else [f"gamma {exponent:.3g}"]
-    said += ["primaries"] if primaries is not None else []
-    space = space_of_primaries(primaries, curve, " and ".join(said))
+    parts = [] if exponent is None else [f"gamma {exponent:.3g}"]
+    parts += ["primaries"] if primaries is not None else []
+    space = space_of_primaries(primaries, curve, " and ".join(parts))
     if usual and space.matrix is None:
         return StatedColor()
     if exponent is None:

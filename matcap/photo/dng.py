@@ -22,8 +22,8 @@ from matcap.files.containers import Tag, decoding, unsupported
 from matcap.files.stated_color import StatedColor
 from matcap.photo import raw_samples
 from matcap.photo.developed import decode, light
-from matcap.photo.opcodes import VALUE_MAPPING, Opcodes, parse_opcodes
 from matcap.photo.photo import Decoded, check_size
+from matcap.photo.raw_samples import VALUE_MAPPING, Opcodes, parse_opcodes
 
 Matrix = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32)."""
+"""Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from typing import Any, BinaryIO
 from matcap.files.containers import FileKind, Tag, kind_of, pillow_info
 from matcap.files.stated_color import png_chunks
 
-# Metadata of a photograph: orientation, field of view, flash, exposure (Exif 2.32, XMP).
-#
 # | container | source |
 # | --- | --- |
 # | JPEG, TIFF, RAW | Exif; XMP if Exif has no orientation or focal length |
 # | PNG | eXIf, XMP |
 # | WebP | EXIF and XMP |
 # | HEIC, AVIF | Exif from the decoder |
-
 
 # mm, diagonal of the 36 x 24 mm frame, which FocalLengthIn35mmFilm refers to (CIPA DCG-001).
 _FILM_DIAGONAL = hypot(36.0, 24.0)

@@ -22,7 +22,6 @@ from matcap.photo.photo import Photo
 
 Values = NDArray[np.float64]
 
-
 # Constants of the measures; docs/notes/verdict.md. Limits are in checks.py.
 _TOE = 0.02  # added inside logarithms, as a share of the median
 # Share of a pixel's brightness added to its channels before hues: the darkest channel of a

@@ -145,8 +145,8 @@ def _photo(picture: Decoded, exif: Exif, fov: float | None, where: str, name: st
         return np.ascontiguousarray(quarter_turn(standing) if turned else standing)
 
     whole = picture.whole or (width, height)
-    stated, said = exif.view(*whole)
-    known, source, said = (fov, "given", ()) if fov is not None else (stated, "exif", said)
+    stated, notes = exif.view(*whole)
+    known, source, notes = (fov, "given", ()) if fov is not None else (stated, "exif", notes)
     seen = phone_fov(*whole) if known is None else known
     if fov is None and picture.whole is not None:
         seen = part_of_fov(seen, max(width, height) / max(whole))
@@ -161,7 +161,7 @@ def _photo(picture: Decoded, exif: Exif, fov: float | None, where: str, name: st
         original_size=size,
         turned=turned,
         flash_fired=exif.flash_fired,
-        notes=stored.notes + said,
+        notes=stored.notes + notes,
         exposure=exif.exposure,
     )
     if picture.opacity is None:

@@ -18,9 +18,8 @@ from matcap.errors import MatcapError
 from matcap.files.containers import decoding, unreadable
 from matcap.photo.dng import Corrections
 from matcap.photo.left_out import Rows, shrink
-from matcap.photo.opcodes import GainMap, Shading
 from matcap.photo.photo import UNSTATED, Decoded, Photo, check_size
-from matcap.photo.raw_samples import plain_dng
+from matcap.photo.raw_samples import GainMap, Shading, plain_dng
 
 # Sensor noise: estimated from the mosaic, and sampled.
 #

@@ -78,7 +78,6 @@ class Tally:
 # Each holds for every point of the surface that the camera may see. All together cost a few passes
 # over the maps; no pixel is shaded.
 
-
 # Upper bound of the specular lobe's directional albedo, with the error of the albedo tables.
 LARGEST_ALBEDO = 1.01
 

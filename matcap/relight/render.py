@@ -5,9 +5,9 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -18,12 +18,19 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
-from matcap.files.color import srgb_decode
+from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.process import cores
-from matcap.relight.block import Block, Hits, ShadingContext
+from matcap.relight.block import Block, Hits, ShadingContext, shape_of
 from matcap.relight.camera import Array, view_of
-from matcap.relight.effects import DEFAULT_TOLERANCE, area, direct, environment
-from matcap.relight.effects.entries import EFFECTS
+from matcap.relight.effects import (
+    DEFAULT_TOLERANCE,
+    Bound,
+    area,
+    direct,
+    environment,
+    multiscatter,
+    relief,
+)
 from matcap.relight.effects.environment import samples_for
 from matcap.relight.environment_map import Environment, environment_of
 from matcap.relight.plan import TILE, Budget, Plan, SceneBounds, Step, Tally, gather
@@ -36,14 +43,44 @@ from matcap.relight.scene import (
     SphereLight,
     Surface,
     check_lights,
-    scene_from_light,
     too_bright,
 )
-from matcap.relight.surfaces import shape_of
 from matcap.relight.texture import Sampler, SurfaceSample, Texture
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
+
+# Table of all effects, in the order in which plans list them.
+#
+# A new effect is a file in effects/ and an entry here: its bound, and `move` (before the material
+# is looked up) or `add` (after all lights). Effects with neither are terms of the lights' loops.
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect: its bound, and the stage in which it acts."""
+
+    bound: Callable[[SceneBounds], Bound]
+    """Upper bound on the change from leaving it out."""
+    move: Callable[[Relief, Hits], tuple[Hits, Array]] | None = None
+    """Displaces hits; returns them and the height there."""
+    add: Callable[[Block], None] | None = None
+    """Adds radiance to a block after all lights."""
+
+
+EFFECTS: Mapping[str, Effect] = {
+    "diffuse": Effect(direct.diffuse_bound),
+    "specular": Effect(direct.specular_bound),
+    "falloff": Effect(direct.falloff_bound),
+    "area": Effect(area.bound),
+    "environment": Effect(environment.bound),
+    "filtering": Effect(relief.filtering_bound),
+    "parallax": Effect(relief.parallax_bound, move=relief.move),
+    "shadows": Effect(relief.shadows_bound),
+    "visibility": Effect(relief.visibility_bound),
+    "interreflection": Effect(relief.interreflection_bound, add=relief.add_interreflection),
+    "multiscatter": Effect(multiscatter.bound),
+}
 
 
 # Decide which effects run, from upper bounds on what leaving each out could change.
@@ -59,7 +96,7 @@ class EffectChoice:
     """The user's choice: a start ("auto", "all" or "none") and effects forced on or off."""
 
     start: str = "auto"
-    forced: tuple[tuple[str, bool], ...] = ()
+    forced: Mapping[str, bool] = field(default_factory=dict)
 
 
 def parse_choice(text: str) -> EffectChoice:
@@ -68,7 +105,7 @@ def parse_choice(text: str) -> EffectChoice:
     Raises:
         UsageError: an unknown effect, or one without + or -.
     """
-    start, forced = "auto", []
+    start, forced = "auto", dict[str, bool]()
     for index, part in enumerate(part.strip() for part in text.split(",")):
         if index == 0 and part in ("auto", "all", "none"):
             start = part
@@ -81,8 +118,8 @@ def parse_choice(text: str) -> EffectChoice:
                 f"'{part}' is not an effect to switch",
                 f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
             )
-        forced.append((name, sign == "+"))
-    return EffectChoice(start, tuple(forced))
+        forced[name] = sign == "+"
+    return EffectChoice(start, forced)
 
 
 def radiance_tolerance(tolerance: float, film: Film) -> float:
@@ -101,18 +138,13 @@ def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Pl
         choice: start, and effects that the user forced on or off.
     """
     bounds = {name: effect.bound(limits) for name, effect in EFFECTS.items()}
-    forced = dict(choice.forced)
-    off: set[str] = set()
-    if choice.start == "none":
-        off = set(EFFECTS)
-    elif choice.start == "auto":
-        left = tolerance
-        for effect in sorted(EFFECTS, key=lambda name: bounds[name].radiance):
-            if effect in forced:
-                continue
-            if bounds[effect].radiance > left:
-                break
+    forced, left, off = choice.forced, tolerance, set()
+    if choice.start == "auto":
+        free = [effect for effect in EFFECTS if effect not in forced]
+        for effect in sorted(free, key=lambda name: bounds[name].radiance):
             left -= bounds[effect].radiance
+            if left < 0.0:
+                break
             off.add(effect)
     steps = []
     for effect, bound in bounds.items():
@@ -121,16 +153,8 @@ def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Pl
             reason = f"as asked for ({reason})"
         elif choice.start != "auto":
             reason = f"{choice.start} as asked for ({reason})"
-        on = forced.get(effect, effect not in off)
-        steps.append(
-            Step(
-                effect,
-                on,
-                bound.radiance,
-                reason,
-                spends=effect in off and effect not in forced and choice.start == "auto",
-            )
-        )
+        on = forced.get(effect, choice.start != "none" and effect not in off)
+        steps.append(Step(effect, on, bound.radiance, reason, spends=effect in off))
     return Plan(tuple(steps), tolerance)
 
 
@@ -138,7 +162,6 @@ def make_plan(limits: SceneBounds, tolerance: float, choice: EffectChoice) -> Pl
 #
 # The loops of matcap.relight.loops do the work. With a budget an effect runs in the pixels whose
 # own bound exceeds it, without one in all.
-
 
 # Effects that run in every pixel if they run at all.
 _EVERYWHERE = ("diffuse", "specular", "falloff", "filtering", "parallax", "multiscatter")
@@ -225,7 +248,6 @@ def _light(block: Block) -> None:
 
 # Render maps in a scene: plan, then blocks of pixels in parallel.
 
-
 # Pixels shaded together: enough to make a block's fixed cost negligible.
 _BLOCK = 32768
 # Top, bottom, left and right of a rectangle of pixels, half open.
@@ -269,37 +291,6 @@ class Rendering:
     """Tiles in which each effect ran."""
 
 
-def relight(
-    source: Source,
-    scene: Scene | str = "top",
-    *,
-    seed: int = 0,
-    tolerance: float = DEFAULT_TOLERANCE,
-    effects: str = "auto",
-) -> NDArray[np.float32]:
-    """Render a material in a scene.
-
-    Args:
-        source: maps, or a material to read them from.
-        scene: the scene, or a light as scene_from_light takes it: "top", "-1,1,2".
-        seed: the realisation read from a material.
-        tolerance: largest change that leaving out effects may make, in code values of the film,
-            [0, 1]; half an 8-bit step by default. A smaller one also samples environments in more
-            directions.
-        effects: "auto", "all", "none", or effects forced on and off: "+shadows,-parallax".
-
-    Returns:
-        (H, W, 3) float32 radiance, linear Rec.709; 0 where there is no surface. Exposure and
-        transfer of the film are not applied.
-
-    Raises:
-        MatcapError: a file of the scene is missing or broken, or an effect has no such name.
-    """
-    scene = scene_from_light(scene) if isinstance(scene, str) else scene
-    renderer = Renderer(source, scene, seed=seed)
-    return renderer.render(tolerance=tolerance, effects=effects).radiance
-
-
 class Renderer:
     """Renders one material in one scene.
 
@@ -327,22 +318,25 @@ class Renderer:
         self,
         *,
         tolerance: float = DEFAULT_TOLERANCE,
-        effects: str | EffectChoice = "auto",
+        effects: str = "auto",
         progress: OnShare = lambda _share: None,
     ) -> Rendering:
         """Render one picture.
 
         Args:
-            tolerance, effects: see relight().
+            tolerance: largest change that leaving out effects may make, in code values of the film,
+                [0, 1]. A smaller one than the default also samples environments in more directions.
+            effects: "auto", "all", "none", or effects forced on and off: "+shadows,-parallax".
             progress: called with the finished share of the picture, (0, 1], after each block.
 
         Raises:
-            MatcapError: a light too bright for single precision, or what relight() raises.
+            MatcapError: a light too bright for single precision, a file of the scene that is
+                missing or broken, or an effect of no such name.
         """
         start = perf_counter()
         scene, film = self.scene, self.film
         check_lights(scene.lights)
-        choice = parse_choice(effects) if isinstance(effects, str) else effects
+        choice = parse_choice(effects)
         shape = shape_of(scene.surface, self.texture)
         view = view_of(scene.camera, film, shape.framed(film))
         region, footprint = shape.region(view, self.relief)
@@ -476,3 +470,9 @@ def _workers() -> int:
     """Number of threads: OMP_NUM_THREADS, else the cores this process may use."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
     return int(limit) if limit.isdigit() and int(limit) > 0 else cores()
+
+
+def encode(radiance: NDArray[np.float32], film: Film) -> NDArray[np.float32]:
+    """Code values in [0, 1]: radiance times 2^exposure, clipped, through the transfer function."""
+    light = radiance * np.float32(film.gain)
+    return srgb_picture(light) if film.transfer == "srgb" else np.clip(light, 0.0, 1.0)

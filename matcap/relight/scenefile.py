@@ -1,4 +1,4 @@
-"""Scene files (TOML), every key checked; and named scenes.
+"""Scenes of files (TOML, every key checked), of names, and of photographs.
 
 The keys of `[film]`, `[camera]`, `[surface]` and each `[[light]]` are the fields of scene.py's
 dataclasses. Files that they name are relative to the scene file.
@@ -13,7 +13,7 @@ from dataclasses import MISSING, fields
 from functools import partial
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 from matcap.errors import MatcapError, UsageError
 from matcap.files.settings import nearest
@@ -28,9 +28,15 @@ from matcap.relight.scene import (
     RectangleLight,
     Scene,
     Surface,
+    Vector,
     light_name,
     scene_from_light,
 )
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from matcap.flash.geometry import FlashSetup
 
 _LARGEST_SIDE = 32768
 _LARGEST_EXPONENT = 20.0  # of vignetting, as in material files
@@ -237,3 +243,59 @@ def preset(name: str) -> Scene:
             name, "there is no such scene", nearest(name, PRESETS, "or a .toml file")
         )
     return SCENES[name]
+
+
+# The scene of a photograph: its camera and flash, for a picture to compare with it.
+#
+# The same geometry as matcap.flash.light. FlashSetup's intensity includes the exposure, so
+# radiance 1 is the photograph's white.
+
+
+def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene:
+    """The scene with the photograph's camera and its flash as a point light.
+
+    Args:
+        film: of the picture, with the photograph's aspect ratio.
+        endless: extend the plane to all that the camera sees; else it is the maps' rectangle.
+    """
+    import torch
+
+    from matcap.flash.geometry import camera_in_plane, setup_rotation, to_upright
+
+    place, light = (_vector(to_upright(setup, one)) for one in camera_in_plane(setup))
+    # `turned`: the photograph is a portrait, so its up is the landscape's left.
+    above = [-1.0, 0.0, 0.0] if setup.turned else [0.0, 1.0, 0.0]
+    up = _vector(
+        to_upright(setup, setup_rotation(setup).T @ torch.tensor(above, dtype=torch.float64))
+    )
+    middle = _vector(to_upright(setup, torch.tensor([*setup.vignetting_centre, 0.0])))
+    camera = Camera(
+        "perspective",
+        place,
+        fov=setup.fov,
+        up=up,
+        vignetting=setup.vignetting,
+        vignetting_quartic=setup.vignetting_quartic,
+        vignetting_centre=(middle[0], middle[1]),
+    )
+    surface = Surface(size=_seen(setup, film) if endless else None)
+    return Scene(film, camera, surface, (PointLight(light, setup.intensity),))
+
+
+def _seen(setup: FlashSetup, film: Film) -> float:
+    """Side of a square around the origin that holds all that the picture shows of the plane."""
+    import torch
+
+    from matcap.flash.geometry import unproject
+
+    long = max(film.width, film.height)
+    x, y = film.width / long, film.height / long
+    if setup.turned:
+        x, y = y, x
+    corners = torch.tensor([[-x, x, -x, x], [y, y, -y, -y]], dtype=torch.float64)
+    return 2.0 * float(unproject(corners, setup)[:2].abs().max())
+
+
+def _vector(tensor: Tensor) -> Vector:
+    x, y, z = tensor.tolist()
+    return x, y, z

@@ -1,6 +1,4 @@
-"""The decoder's input: white and structured noise, lattice channels and a drawing, exact
-anywhere.
-"""
+"""The decoder's input: noise, lattice channels and a drawing, exact anywhere."""
 
 from __future__ import annotations
 
@@ -294,12 +292,7 @@ class RandomField:
 
 
 def random_field(
-    patch: Patch,
-    noise_channels: int,
-    waves: tuple[Wave, ...],
-    *,
-    levels: int,
-    cells: int = 0,
+    patch: Patch, noise_channels: int, waves: tuple[Wave, ...], *, levels: int, cells: int = 0
 ) -> RandomField:
     """Inputs of a decoder for one rectangle, as a batch of one.
 

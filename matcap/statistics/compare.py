@@ -21,7 +21,6 @@ from matcap.statistics.lattice import autocorrelation
 # approximately, by their covariance after the smooth shading is subtracted, so that the descriptors
 # of faint, strong, grey and colourful textures have about the same scale.
 
-
 # Tuned constants of the encoding; docs/notes/prior.md.
 
 # Added inside the logarithm, as a share of the median radiance; it bounds the log of black.
@@ -345,12 +344,10 @@ def _fours(planes: Tensor) -> Tensor:
 # Covariances between levels describe structure that spans scales, such as edges, which Gram
 # matrices of single levels do not [portilla2000].
 
-
 # Tuned constants of descriptors; docs/notes/prior.md.
 _LAGS = 12  # largest lag of the autocorrelation, in texels of its pyramid level
 QUANTILES = 64  # number of quantiles per colour channel
 _LARGEST = 144  # texels: a larger pyramid level is cropped to a central square of this side
-
 
 # Lower limit of the L1 norm that differences are divided by: a tenth of the least in photographs of
 # textures. Without it the distance to a uniform photograph would divide by zero.

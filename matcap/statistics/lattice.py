@@ -54,7 +54,6 @@ def _hann(size: int, like: Tensor) -> Tensor:
 # The averaged power spectrum of a regular texture has sharp peaks at integer combinations of one or
 # two frequency vectors. These vectors are inputs of the decoder (space/random_field.py).
 
-
 # Tuned constants of the lattice's detection; docs/notes/prior.md.
 _WINDOW = 256  # texels: side of the windows whose spectra are averaged
 _PEAK_RATIO = 8.0  # least ratio of a peak to the median power of the 15 x 15 bins around it
@@ -70,7 +69,6 @@ _NEAR = 2  # texels around a shift over which the autocorrelation's maximum is t
 _SHADING = 255  # texels: side of the local mean that is subtracted as shading
 # Share of the texture's power on the lattice below which there is no lattice.
 _LEAST_EXPLAINED = 0.05
-
 
 _ORDERS = range(-4, 5)
 

@@ -1,6 +1,4 @@
-"""Files of a map set: their encoding, their assembly from blocks, and the preview lit from the
-top.
-"""
+"""Files of a map set: their encoding, their assembly from blocks, the preview."""
 
 from __future__ import annotations
 

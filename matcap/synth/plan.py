@@ -64,11 +64,7 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     """
     if request.tile == "piece":
         refuse_with_piece(
-            {
-                "--udim": request.udim,
-                "--variety": request.read.variety,
-                "--seed": request.seed != 0,
-            }
+            {"--udim": request.udim, "--variety": request.read.variety, "--seed": request.seed != 0}
         )
     exemplified = None
     if isinstance(request.material, Path) and request.read.generator != "decoder":

@@ -1,6 +1,4 @@
-"""Writes a rectangle of any size to files, in memory that does not grow with its size,
-resumably.
-"""
+"""Writes a rectangle of any size to files, in bounded memory, resumably."""
 
 from __future__ import annotations
 
@@ -10,14 +8,14 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -29,7 +27,15 @@ from matcap.field.plane import BlockPart
 from matcap.field.source import compute_alone, single_threaded
 from matcap.files.names import StagedFolder, plain_name
 from matcap.files.output import Output, check_output, check_writable
-from matcap.files.process import Cluster, WorkerLost, keep_memory, settle_child, starting_children
+from matcap.files.process import (
+    RemoteResult,
+    WorkerLost,
+    dask_client,
+    dask_threads,
+    keep_memory,
+    settle_child,
+    starting_children,
+)
 from matcap.synth.pictures import (
     Assembly,
     PreviewPicture,
@@ -59,18 +65,6 @@ if TYPE_CHECKING:
 
 # Runs blocks of a field as jobs of a worker pool, in order, a bounded number at a time.
 
-T_co = TypeVar("T_co", covariant=True)
-
-
-class Future(Protocol[T_co]):
-    """A future of concurrent.futures or of Dask."""
-
-    def result(self) -> T_co:
-        """Wait for the value and return it."""
-
-    def cancel(self) -> object:
-        """Cancel it if it has not started."""
-
 
 @dataclass(frozen=True)
 class BlockResult:
@@ -84,7 +78,8 @@ class BlockResult:
 
 # A part of a block, and the map set that it is written to.
 Job = tuple[BlockPart, PlannedMapSet]
-Submit = Callable[[Job], Future[BlockResult]]
+RunningJob = Future[BlockResult] | RemoteResult
+Submit = Callable[[Job], RunningJob]
 
 
 @dataclass(frozen=True)
@@ -103,7 +98,7 @@ class WorkerPool:
             MatcapError: raised by a job.
             WorkerLost: a worker process was killed.
         """
-        pending: deque[tuple[Job, Future[BlockResult]]] = deque()
+        pending: deque[tuple[Job, RunningJob]] = deque()
         try:
             for job in jobs:
                 pending.append((job, self.submit(job)))
@@ -139,7 +134,7 @@ def unpacked(packed: bytes) -> Source:
     return pickle.loads(packed)
 
 
-def _first(pending: deque[tuple[Job, Future[BlockResult]]]) -> tuple[Job, BlockResult]:
+def _first(pending: deque[tuple[Job, RunningJob]]) -> tuple[Job, BlockResult]:
     job, result = pending.popleft()
     return job, result.result()
 
@@ -168,11 +163,10 @@ def worker_pool(
         MatcapError: no scheduler answers, or Dask is not installed.
     """
     if scheduler is not None:
-        with Cluster(scheduler) as machines:
-            shared_source = machines.shared(pickle.dumps(source))
-            yield WorkerPool(
-                partial(machines.submit, _render_alone, shared_source), _AHEAD * machines.threads
-            )
+        with dask_client(scheduler) as client:
+            shared_source = client.scatter(pickle.dumps(source), broadcast=True, hash=False)
+            submit = partial(RemoteResult, client, _render_alone, shared_source)
+            yield WorkerPool(submit, _AHEAD * dask_threads(client))
     elif workers == 1 or jobs <= _FEW or source.device_type != "cpu":
         with single_threaded(workers) as pool:
             yield WorkerPool(lambda job: pool.submit(rendered, source, job), _AHEAD * workers)
@@ -189,7 +183,7 @@ def worker_pool(
             processes.shutdown(cancel_futures=True)
 
 
-def _submit(processes: ProcessPoolExecutor, job: Job) -> Future[BlockResult]:
+def _submit(processes: ProcessPoolExecutor, job: Job) -> RunningJob:
     """Submit a job to a pool, which may start a process for it."""
     with starting_children():
         return processes.submit(_render_here, job)

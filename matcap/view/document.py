@@ -37,8 +37,16 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.exr import LARGEST_HALF
 from matcap.files.names import check_suffix
 from matcap.files.output import Output
-from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture
-from matcap.view.subject import Materials, Viewable, ViewFacts
+from matcap.view.subject import (
+    APRON,
+    MIPS,
+    PAGE_HEIGHT,
+    WIDTH,
+    EncodedPicture,
+    Materials,
+    Viewable,
+    ViewFacts,
+)
 
 _SPARED = 2  # fraction bits of half floats that albedos are rounded by
 

@@ -29,8 +29,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import SCRIPTS, STYLE, page_file, served_page
-from matcap.view.pages import EncodedPicture, Page, Pages, Place
-from matcap.view.subject import Viewable
+from matcap.view.subject import EncodedPicture, Page, Pages, Place, Viewable
 
 HOST = "127.0.0.1"
 _POLL = 0.05  # seconds between checks whether the client has disconnected
@@ -202,8 +201,7 @@ def place_of(values: Mapping[str, str]) -> Place:
         return Place(level, column, row, seed, share)
     except (KeyError, ValueError) as error:
         raise UsageError(
-            "this does not name a page",
-            remedy="give level, column, row, seed and share as numbers",
+            "this does not name a page", remedy="give level, column, row, seed and share as numbers"
         ) from error
 
 

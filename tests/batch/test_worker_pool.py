@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from pool_jobs import prepare, work
 
-from matcap.batch.worker_pool import Machines, Processes
+from matcap.batch.run import Machines, Processes
 from matcap.errors import MatcapError
 from matcap.files.names import Progress
 
@@ -58,7 +58,7 @@ def test_close_stops_work_at_once(workers):
 def test_workers_end_when_the_main_process_is_killed():
     code = (
         "import sys; sys.path[:0] = sys.argv[1:]; import pool_jobs as t\n"
-        "from matcap.batch.worker_pool import Processes\n"
+        "from matcap.batch.run import Processes\n"
         "if __name__ == '__main__':\n"
         "    workers = Processes(1, t.work, t.prepare)\n"
         "    workers.start('sleep'); workers.wait(20)\n"

@@ -13,6 +13,7 @@ from simulated.files import write_jpeg
 from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, as_photo, hold, noisy, take, take_several
 
+from matcap.api import relight
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture import preview, rectified
@@ -34,9 +35,8 @@ from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import FlashSetup, Margins
 from matcap.flash.rectify import plane_of
-from matcap.relight.photographed import photographed_scene
-from matcap.relight.render import relight
 from matcap.relight.scene import Film
+from matcap.relight.scenefile import photographed_scene
 from matcap.statistics.lattice import Lattice, Wave
 
 # Coarse textures are captured with half the texels; previews render some of large maps.

@@ -24,7 +24,7 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import DRAWING_STAGES, EXEMPLAR_STAGES, CaptureSettings
 from matcap.cli.main import app, main
 from matcap.photo.load import load_photo
-from matcap.relight.effects.entries import EFFECTS, Effect
+from matcap.relight.render import EFFECTS, Effect
 from matcap.relight.scenefile import parse_scene
 
 # What the pages of docs say: commands that run, and how a lattice shows its tilt.

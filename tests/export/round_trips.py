@@ -27,8 +27,8 @@ from target_surfaces import residual
 
 import matcap
 from matcap.export import presets
-from matcap.export.engines import PRESETS
 from matcap.export.job import ExportJob
+from matcap.export.presets import PRESETS
 from matcap.export.shading import residuals
 from matcap.export.targets import DOCUMENTS, preset_forms, write_export
 from matcap.field.opened import open_tile

@@ -47,7 +47,7 @@ def test_the_upper_byte_of_sixteen_bits_is_the_nearest(tmp_path):
     code = torch.linspace(0.0, 1.0, 64 * 64).reshape(1, 64, 64)
     job = ExportJob(MapSet((0.0 * code).expand(3, 64, 64), code, code, 0.0 * code, 0.1), "even")
     texture = replace(TextureFile.of(job, plain("roughness"), "16", ""), eight_of_16=True)
-    stored, meant = texture.stored(job.piece()), job.roughness
+    stored, meant = texture.stored(job.piece()), job.picture("roughness")
     assert np.abs((stored >> 8) / 255.0 - meant).max() < 0.501 / 255.0
     assert np.abs(stored / 65535.0 - meant).max() < 0.501 / 255.0
     middle = np.abs(meant - 0.5) < 0.25  # as of normals

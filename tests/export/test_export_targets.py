@@ -23,8 +23,8 @@ from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.export.engines import PRESETS
 from matcap.export.job import ExportJob, material_reach
+from matcap.export.presets import PRESETS
 from matcap.export.shading import TargetShading, TargetSurface
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 from matcap.field.opened import open_material, open_tile

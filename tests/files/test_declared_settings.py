@@ -20,8 +20,7 @@ from safetensors.torch import save_file
 from matcap.batch.samples import BatchSettings
 from matcap.capture.settings import CaptureSettings, InspectSettings, OutputSettings
 from matcap.cli.main import main
-from matcap.cli.relight import RelightOptions
-from matcap.cli.view import ViewOptions
+from matcap.cli.relight import RelightOptions, ViewOptions
 from matcap.errors import MatcapError, UsageError
 from matcap.export.options import ExportArea, ExportOptions
 from matcap.field.options import BlendOptions, DrawOptions, ReadOptions, SampleOptions
@@ -56,7 +55,7 @@ KINDS = (
     BlendOptions, ViewOptions,
 )  # fmt: skip
 ALL = [one for kind in KINDS for one in settings_in(kind).values()]
-BOUNDED = [one for one in ALL if math.isfinite(one.rule.least)]
+BOUNDED = [one for one in ALL if math.isfinite(one.least)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -74,7 +73,7 @@ def test_no_two_settings_of_a_command_share_a_name():
 @given(st.data())
 def test_a_number_is_taken_within_its_limits_and_nowhere_else(data):
     one = data.draw(st.sampled_from(BOUNDED))
-    least, most = one.rule.least, one.rule.most
+    least, most = one.least, one.most
     numbers = st.integers if one.kind is int else st.floats
     inside = data.draw(numbers(one.kind(least), one.kind(most)))
     assert one.typed(inside, "here") == inside
@@ -86,7 +85,7 @@ def test_a_number_is_taken_within_its_limits_and_nowhere_else(data):
 
 @pytest.mark.parametrize("one", ALL, ids=lambda one: one.name)
 def test_a_default_is_a_value_and_another_kind_is_none(one):
-    if one.default is not None and not one.rule.several:
+    if one.default is not None and not one.several:
         assert one.typed(one.default, "here") == one.default
     with pytest.raises(UsageError, match="here: "):
         one.typed({"a": 1}, "here")

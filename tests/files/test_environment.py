@@ -9,9 +9,9 @@ from PIL import Image
 
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_decode
-from matcap.files.environment import read_picture
 from matcap.files.exr import write_exr
 from matcap.files.names import Note
+from matcap.relight.environment_map import read_picture
 
 ROWS, COLUMNS = 8, 16
 PICTURE = np.random.default_rng(0).uniform(0.1, 4.0, (ROWS, COLUMNS, 3)).astype(np.float32)

@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from simulated.files import gain_map, mosaic, opcode_list, write_dng
 
 from matcap.errors import MatcapError
-from matcap.files.environment import read_picture
 from matcap.files.pixels import linear_colours, read_mask, read_pixels
 from matcap.photo.load import load_photo
+from matcap.relight.environment_map import read_picture
 
 Read = Callable[[Path], np.ndarray]
 _EXTREMES = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF)

@@ -13,9 +13,8 @@ from simulated.files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode
 
 from matcap.errors import MatcapError
 from matcap.photo.load import load_photo
-from matcap.photo.opcodes import Shading, parse_opcodes
 from matcap.photo.raw import SensorNoise, find_noise
-from matcap.photo.raw_samples import plain_dng
+from matcap.photo.raw_samples import Shading, parse_opcodes, plain_dng
 
 # RAW: linear, balanced, oriented once, clipping read off the mosaic, by quiet decoders.
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from reference_scenes import LIGHTS, embossed_maps, embossed_scene, flat_maps, flat_scene, sky_scene
 
+from matcap.api import relight
 from matcap.files.exr import read_exr
 from matcap.relight.effects import DEFAULT_TOLERANCE
-from matcap.relight.render import relight
 
 FOLDER = Path(__file__).parent / "references"
 # Mitsuba's material here reflects once: the compensation for more is left out.

@@ -17,6 +17,7 @@ from plain.lobes import ggx_smith, schlick_weight
 from plain.visible_normals import lobe_of
 from relight_samples import bumpy
 
+from matcap.api import relight
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.field.plane import Rectangle
@@ -25,11 +26,11 @@ from matcap.relight.block import Block, Hits, ShadingContext, to_frame
 from matcap.relight.camera import dot, lattice, scale, subtract, vec
 from matcap.relight.effects import area, direct, environment
 from matcap.relight.effects import relief as parallax
-from matcap.relight.environment_map import albedo, environment_of
+from matcap.relight.effects.multiscatter import albedo
+from matcap.relight.environment_map import environment_of
 from matcap.relight.loops import library
 from matcap.relight.plan import Budget, Plan, Step, Tally
 from matcap.relight.relief import COARSENESS, Horizons, Relief
-from matcap.relight.render import relight
 from matcap.relight.scene import (
     EnvironmentLight,
     Film,

@@ -12,14 +12,15 @@ from loop_calls import lobe
 from plain.lobes import ggx_smith, schlick_weight
 from relight_samples import bumpy, flat
 
+from matcap.api import relight
 from matcap.brdf import cook_torrance as reference
 from matcap.brdf.maps import MapSet
 from matcap.relight.camera import dot, vec
 from matcap.relight.effects import DEFAULT_TOLERANCE, multiscatter
 from matcap.relight.effects import relief as parallax
-from matcap.relight.environment_map import albedo
+from matcap.relight.effects.multiscatter import albedo
 from matcap.relight.relief import Horizons, Relief
-from matcap.relight.render import Renderer, relight
+from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
     DirectionalLight,

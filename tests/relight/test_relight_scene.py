@@ -12,6 +12,7 @@ import torch
 from relight_samples import bumpy, flat
 from simulated.photographs import PhoneCamera, take
 
+from matcap.api import relight
 from matcap.brdf.folder import PIECE, SETUP, MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.cli.main import main
@@ -21,8 +22,7 @@ from matcap.files.exr import read_exr
 from matcap.flash.geometry import FlashSetup, unproject
 from matcap.flash.light import render_flash, render_rectified
 from matcap.relight.effects import DEFAULT_TOLERANCE
-from matcap.relight.photographed import photographed_scene
-from matcap.relight.render import Renderer, relight
+from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     NAMED_LIGHTS,
     Camera,
@@ -34,7 +34,7 @@ from matcap.relight.scene import (
     Surface,
     scene_from_light,
 )
-from matcap.relight.scenefile import PRESETS, parse_scene, preset, read_scene
+from matcap.relight.scenefile import PRESETS, parse_scene, photographed_scene, preset, read_scene
 
 # Scenes from files and from the shorthand of the command line.
 

@@ -22,11 +22,11 @@ from matcap.relight import render
 from matcap.relight import render as planning
 from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, area
 from matcap.relight.effects import relief as parallax
-from matcap.relight.effects.entries import Effect
 from matcap.relight.plan import TILE, Budget, Tally
 from matcap.relight.relief import Relief
 from matcap.relight.render import (
     EFFECTS,
+    Effect,
     EffectChoice,
     Renderer,
     make_plan,
@@ -317,7 +317,7 @@ def test_progress_goes_up_to_the_end_and_an_interruption_ends_it(monkeypatch):
 
 def relight(source, scene, **options):
     """The plain reflectance on the undisplaced plane, which the references below know."""
-    return render.relight(
+    return matcap.relight(
         source,
         scene,
         effects="-multiscatter,-parallax,-shadows,-interreflection,-filtering",
@@ -440,7 +440,8 @@ def test_a_material_is_read_at_the_size_the_surface_needs(maps):
 
 
 def test_matcap_relight_is_the_renderer(maps):
-    np.testing.assert_array_equal(matcap.relight(maps, "left"), render.relight(maps, "left"))
+    rendering = Renderer(maps, scene_from_light("left")).render()
+    np.testing.assert_array_equal(matcap.relight(maps, "left"), rendering.radiance)
 
 
 # Pictures against Mitsuba 3's, stored in references/; made again by make_references.py.

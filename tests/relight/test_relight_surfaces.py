@@ -11,6 +11,7 @@ import torch
 from other_exr import write_other_exr
 from relight_samples import bumpy, flat
 
+from matcap.api import relight
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
@@ -18,7 +19,7 @@ from matcap.files.exr import write_exr
 from matcap.relight.camera import vec
 from matcap.relight.environment_map import environment_of
 from matcap.relight.foreign.read import read_foreign
-from matcap.relight.render import Renderer, relight
+from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
     DirectionalLight,

@@ -9,8 +9,7 @@ import pytest
 from materials import SMALL, a_material
 
 from matcap.field.material import Material
-from matcap.view.pages import Pages
-from matcap.view.subject import Materials
+from matcap.view.subject import Materials, Pages
 
 # A software renderer, so that every machine draws the same.
 # Small, because software draws it: a desktop's layout, few texels held.

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from PIL import Image
 
+from matcap.api import relight
 from matcap.files.exr import write_exr
-from matcap.relight.output import encode
-from matcap.relight.render import relight
+from matcap.relight.render import encode
 from matcap.relight.scene import Camera, EnvironmentLight, Film, PointLight, Scene, Surface
 
 # What the page does, and nothing of what it says it does not.

@@ -15,9 +15,8 @@ from matcap.example.example import Example
 from matcap.field.plane import Rectangle
 from matcap.view.document import packed_tile, sealed_page
 from matcap.view.level_of_detail import ExemplarAverages
-from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, Pages, Place
-from matcap.view.pages import WIDTH as PAGE_WIDTH
-from matcap.view.subject import Maps, open_subject
+from matcap.view.subject import APRON, MIPS, PAGE_HEIGHT, Maps, Pages, Place, open_subject
+from matcap.view.subject import WIDTH as PAGE_WIDTH
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")

@@ -18,8 +18,7 @@ from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.view.document import sealed_page
-from matcap.view.pages import find_photograph, reported_photograph
-from matcap.view.subject import Maps, Materials, open_subject
+from matcap.view.subject import Maps, Materials, find_photograph, open_subject, reported_photograph
 
 
 @pytest.fixture(scope="module")

@@ -27,12 +27,11 @@ from shown import (
 from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.example.example import Example
 from matcap.files.color import srgb_decode
-from matcap.relight.output import encode
+from matcap.relight.render import encode
 from matcap.relight.scene import Film
 from matcap.space.between import blend
 from matcap.view.document import sealed_page
-from matcap.view.pages import EncodedPicture
-from matcap.view.subject import Maps, Materials
+from matcap.view.subject import EncodedPicture, Maps, Materials
 
 pytestmark = pytest.mark.programs
 PLANES = [

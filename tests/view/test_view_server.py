@@ -26,8 +26,17 @@ from matcap.view.level_of_detail import (
     halved,
     moments_of,
 )
-from matcap.view.pages import APRON, MIPS, PAGE_HEIGHT, WIDTH, EncodedPicture, Pages, Place
-from matcap.view.subject import Maps, Materials
+from matcap.view.subject import (
+    APRON,
+    MIPS,
+    PAGE_HEIGHT,
+    WIDTH,
+    EncodedPicture,
+    Maps,
+    Materials,
+    Pages,
+    Place,
+)
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
 server = pytest.importorskip("matcap.view.server")
@@ -296,7 +305,7 @@ def test_failures_are_not_kept(subject, monkeypatch):
 
 
 def test_memory_is_bounded(monkeypatch):
-    monkeypatch.setattr("matcap.view.pages._KEPT", 3)
+    monkeypatch.setattr("matcap.view.subject._KEPT", 3)
     pages = Pages(Maps(random_maps(16, 16), "flat"), workers=1)
     futures = [pages.ask(Place(0, column, 0)) for column in range(9)]
     assert all(future.result() for future in futures)

@@ -33,8 +33,7 @@ from matcap.space.encoder import FEATURES
 from matcap.space.prior.store import Prior
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.finetune import RATE_FROM_NOTHING, RATE_FROM_PRIOR, TuneSettings, finetune
-from matcap.space.tuning.match import log_contrast, untrained
-from matcap.space.tuning.windows import PhotographTarget, cut_windows
+from matcap.space.tuning.match import PhotographTarget, cut_windows, log_contrast, untrained
 from matcap.statistics.compare import FilterBank
 from matcap_lab.bench.floors import photo_as_albedo
 from matcap_lab.experiment.results import Trial, Value, table

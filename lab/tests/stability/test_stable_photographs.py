@@ -12,7 +12,7 @@ from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import read_plane, rectify
-from matcap.space.tuning.windows import cut_windows
+from matcap.space.tuning.match import cut_windows
 from matcap.statistics.compare import FilterBank, FilterBankConfig, fit_encoding
 from matcap.statistics.lattice import find_lattice
 

@@ -92,10 +92,7 @@ def add(block: Block, light: AreaLight) -> None:
     """Add the light's radiance to a block."""
     plan, relief = block.plan, block.context.relief
     c_light = _as_c(
-        light,
-        falls=plan.on("falloff"),
-        diffuse=plan.on("diffuse"),
-        specular=plan.on("specular"),
+        light, falls=plan.on("falloff"), diffuse=plan.on("diffuse"), specular=plan.on("specular")
     )
     ran, field = np.zeros(block.tiles.size, dtype=np.uint8), None
     if plan.on("shadows"):
@@ -189,9 +186,7 @@ def _cells(first: Array, second: Array, rows: int, columns: int) -> Array:
     return row * columns + np.minimum((second * columns).astype(np.intp), columns - 1)
 
 
-def _axes(
-    light: RectangleLight,
-) -> tuple[Array, Array, Array]:
+def _axes(light: RectangleLight) -> tuple[Array, Array, Array]:
     """Unit vectors across a rectangle, along its `up`, and along its normal."""
     normal = unit3(light.normal)
     up = np.asarray(light.up, dtype=np.float64)

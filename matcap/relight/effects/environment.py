@@ -27,7 +27,8 @@ import numpy as np
 from matcap.relight.block import Block, Hits, to_frame, to_scene
 from matcap.relight.camera import Array, Vec, dot, vec
 from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, direct
-from matcap.relight.environment_map import Environment, albedo
+from matcap.relight.effects.multiscatter import albedo
+from matcap.relight.environment_map import Environment
 from matcap.relight.loops.library import CHorizon, address, directions, loops
 from matcap.relight.plan import LARGEST_ALBEDO, SceneBounds
 

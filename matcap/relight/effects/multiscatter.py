@@ -1,9 +1,8 @@
 """Multiple scattering between microfacets: the energy that a single bounce loses [kulla2017].
 
 f_ms = Fms (1 - E(n.l)) (1 - E(n.v)) / (pi (1 - Eavg)), Fms = Favg^2 Eavg / (1 - Favg (1 - Eavg)),
-Favg = F0 + (1 - F0) / 21 for Schlick's Fresnel; E and Eavg are tables
-(matcap.relight.environment_map).
-Reciprocal; with F0 = 1 all energy is reflected.
+Favg = F0 + (1 - F0) / 21 for Schlick's Fresnel; E and Eavg are tables of the lobe's directional
+albedo. Reciprocal; with F0 = 1 all energy is reflected.
 
 Left out: rough metals lose up to half their light. Cost: two table lookups a light and pixel.
 Captures are fitted without it (brdf/cook_torrance.py): with the F0 of dielectrics, 0.04, it is too
@@ -13,13 +12,153 @@ small to see.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from matcap.relight.camera import Array
+from matcap.relight.camera import Array, LatticePoint, lattice
 from matcap.relight.effects import Bound
-from matcap.relight.environment_map import albedo
 from matcap.relight.plan import SceneBounds
+
+# Tables of the specular lobe's directional albedo, computed once a process.
+#
+# E(mu, alpha) is the albedo of D G / (4 (n.l)(n.v)), F = 1, at mu = n.v. With Schlick's Fresnel it
+# is F0 scale + bias [karis2013]. Integrated over the lattice of visible normals, where the
+# integrand is G2 / G1; errors are below 2e-4.
+
+_SIZE = 64
+_POINTS = 987
+_FINE = 1024
+# Grid of `lost`, for lookups of the nearest entry.
+_ALPHAS, _COSINES = 512, 1024
+
+
+@dataclass(frozen=True)
+class Albedo:
+    """Albedo tables: rows by perceptual roughness sqrt(alpha), columns by sqrt(mu), in [0, 1]."""
+
+    bias: Array
+    """(64, 64) integral weighted by Schlick's (1 - l.h)^5."""
+    total: Array
+    """(64, 64) E; scale = total - bias."""
+    average: Array
+    """(64,) cosine-weighted mean of `total` over the hemisphere, Eavg."""
+
+    def rows(self, alpha: Array) -> Array:
+        """Index of the first entry of an alpha's row in fine_total and fine_bias.
+
+        The nearest of 1024 roughnesses; integers as float32, exact, for fast sums with mu.
+        """
+        rough = np.sqrt(np.asarray(alpha, dtype=np.float32))
+        return np.rint(rough * np.float32(_FINE - 1)) * np.float32(_SIZE)
+
+    def lookup(self, fine: Array, mu: Array, rows: Array) -> Array:
+        """Values of fine_total or fine_bias at mu, linear in sqrt(mu); rows: of rows()."""
+        x = np.sqrt(np.asarray(mu, dtype=np.float32)) * np.float32(_SIZE - 1)
+        j = np.floor(x)
+        value = np.take(fine, (rows + j).astype(np.intp), mode="clip")
+        return value.real + (x - j) * value.imag
+
+    @cached_property
+    def fine_total(self) -> Array:
+        """`total` interpolated to 1024 roughnesses, flattened by rows, as complex numbers.
+
+        Real part: the value; imaginary part: the next value along mu minus it, so that a linear
+        interpolation reads one number.
+        """
+        return _fine(self.total)
+
+    @cached_property
+    def fine_bias(self) -> Array:
+        """`bias` in the layout of fine_total."""
+        return _fine(self.bias)
+
+    def near(self, alpha: Array) -> Array:
+        """Index in `lost` of (nearest tabulated alpha, mu = 0); an integer, as float32."""
+        return np.rint(alpha * np.float32(_ALPHAS - 1)) * np.float32(_COSINES)
+
+    def missing(self, near: Array, mu: Array) -> Array:
+        """1 - E(mu), the energy a single bounce loses: nearest entry of `lost`, within 1e-3."""
+        index = mu * np.float32(_COSINES - 1) + (near + np.float32(0.5))
+        return np.take(self.lost, index.astype(np.intp), mode="clip")
+
+    @property
+    def lost_step(self) -> float:
+        """Offset in `lost` from mu = 0 to mu = 1."""
+        return _COSINES - 1.0
+
+    def average_at(self, near: Array) -> Array:
+        """Eavg; near: of near()."""
+        return np.take(self._averages, (near * np.float32(1.0 / _COSINES)).astype(np.intp))
+
+    @cached_property
+    def lost(self) -> Array:
+        """1 - E, flat: 512 rows by alpha, 1024 columns by mu, both uniform in [0, 1]."""
+        roughness = np.sqrt(np.linspace(0.0, 1.0, _ALPHAS))
+        root_mu = np.sqrt(np.linspace(0.0, 1.0, _COSINES))
+        total = _between(_between(self.total, roughness).T, root_mu).T
+        return np.ascontiguousarray(np.maximum(1.0 - total, 0.0)).ravel()
+
+    @cached_property
+    def _averages(self) -> Array:
+        return _between(self.average[:, None], np.sqrt(np.linspace(0.0, 1.0, _ALPHAS)))[:, 0]
+
+
+def _between(table: Array, places: Array) -> Array:
+    """A table's rows, uniform in [0, 1], linearly interpolated at (n,) places: (n, columns)."""
+    y = places * (_SIZE - 1.0)
+    i = np.minimum(y.astype(np.intp), _SIZE - 2)
+    share = (y - i)[:, None]
+    return (table[i] * (1.0 - share) + table[i + 1] * share).astype(np.float32)
+
+
+def _fine(table: Array) -> Array:
+    rows = _between(table, np.linspace(0.0, 1.0, _FINE))
+    steps = np.diff(rows, axis=1, append=rows[:, -1:])
+    return np.ascontiguousarray(rows + 1j * steps, dtype=np.complex64).ravel()
+
+
+@lru_cache(maxsize=1)
+def albedo() -> Albedo:
+    """Compute the tables."""
+    root_mu = np.linspace(0.0, 1.0, _SIZE)
+    mu = np.maximum(root_mu**2, 1e-6)[None, :]
+    alpha = np.maximum(np.linspace(0.0, 1.0, _SIZE) ** 2, 1e-6)[:, None]
+    total, bias = np.zeros((2, _SIZE, _SIZE))
+    for point in lattice(_POINTS):
+        weight, cosine = _visible(mu, alpha, point)
+        total += weight
+        bias += weight * np.clip(1.0 - cosine, 0.0, 1.0) ** 5
+    # Eavg = integral of 2 E mu dmu; with mu = x^2 that is 4 E x^3 dx.
+    fine = np.linspace(0.0, 1.0, 2001)
+    integrand = np.stack([np.interp(fine, root_mu, row) for row in total]) * 4.0 * fine**3
+    average = np.trapezoid(integrand, fine, axis=1)
+    f = np.float32
+    return Albedo(bias.astype(f), total.astype(f), np.asarray(average, dtype=f))
+
+
+def _visible(mu: Array, alpha: Array, point: LatticePoint) -> tuple[Array, Array]:
+    """G2 / G1 times the sample's weight, and v.h, of one sampled visible normal."""
+    sine = np.sqrt(np.maximum(1.0 - mu * mu, 0.0))
+    vx, vz = alpha * sine, mu
+    length = np.sqrt(vx * vx + vz * vz)
+    vx, vz = vx / length, vz / length
+    z = (1.0 - point.u) * (1.0 + vz) - vz
+    ring = np.sqrt(np.maximum(1.0 - z * z, 0.0))
+    hx, hy = alpha * (ring * point.cosine + vx), alpha * (ring * point.sine)
+    hz = np.maximum(z + vz, 1e-12)
+    length = np.sqrt(hx * hx + hy * hy + hz * hz)
+    hx, hz = hx / length, hz / length
+    cosine = sine * hx + mu * hz
+    n_dot_l = 2.0 * cosine * hz - mu
+    a2 = alpha * alpha
+    towards_view = np.sqrt(a2 + (1.0 - a2) * mu * mu)
+    safe = np.maximum(n_dot_l, 1e-12)
+    towards_light = np.sqrt(a2 + (1.0 - a2) * safe * safe)
+    # G2 = 2 nl nv / (nl Av + nv Al), G1 = 2 nv / (nv + Av).
+    ratio = safe * (mu + towards_view) / (safe * towards_view + mu * towards_light)
+    return np.where(n_dot_l > 0.0, ratio, 0.0) * point.weight, cosine
 
 
 def bound(limits: SceneBounds) -> Bound:

@@ -35,10 +35,7 @@ def parallax_bound(limits: SceneBounds) -> Bound:
     """0 on a flat surface; else the picture's largest radiance."""
     if limits.relief == 0.0:
         return Bound(0.0, "the surface is flat")
-    return Bound(
-        limits.largest_radiance,
-        f"heights of {limits.relief:.2g} shift texels",
-    )
+    return Bound(limits.largest_radiance, f"heights of {limits.relief:.2g} shift texels")
 
 
 def shift(
@@ -72,11 +69,7 @@ def shift(
 def move(relief: Relief, hits: Hits) -> tuple[Hits, Array]:
     """Displace hits along their view rays; returns them and the height there."""
     (u, v), height = shift(relief, hits.place, hits.to_view)
-    moved = (
-        (u - hits.place[0]).astype(np.float32),
-        (v - hits.place[1]).astype(np.float32),
-        height,
-    )
+    moved = ((u - hits.place[0]).astype(np.float32), (v - hits.place[1]).astype(np.float32), height)
     return replace(hits, point=add(hits.point, to_scene(moved, hits.frame)), place=(u, v)), height
 
 

@@ -17,8 +17,6 @@ from matcap.errors import MatcapError
 from matcap.files.names import name_fault, note
 from matcap.files.settings import bounded
 
-# Recognise the map of each file of a set by its name.
-#
 # Bricks066_1K-JPG_Color.jpg   _NormalGL  _Roughness  _Displacement  _Metalness    ambientCG
 # rock_wall_08_diff_2k.jpg     _nor_gl    _rough      _disp          _arm          Poly Haven
 # brushed-metal-albedo.png     -normal-ogl  -roughness  -height  -metallic  -ao    FreePBR
@@ -74,10 +72,7 @@ _WORDS: dict[str, tuple[str, ...]] = {
     "diffuse roughness": ("diffuseroughness",),
     "preview": ("preview", "thumb", "thumbnail", "render", "combined", "uv", "wireframe"),
 }  # fmt: skip
-_STYLES = {
-    "gl": ("gl", "ogl", "opengl", "yup"),
-    "dx": ("dx", "directx", "d3d", "ydown"),
-}
+_STYLES = {"gl": ("gl", "ogl", "opengl", "yup"), "dx": ("dx", "directx", "d3d", "ydown")}
 # Qualifiers of a map's name that do not change which map it is.
 _QUALIFIERS = (
     "map", "tex", "texture", "srgb", "linear", "lin", "raw", "noncolor", "data", "ambient", "mixed",
@@ -333,31 +328,31 @@ def _named(
     rest = list(words[first:last])
     while rest and _RESOLUTION.fullmatch(rest[-1].text):
         rest.pop()
-    said = _said(rest, alone=first + len(rest) < 2)
-    kinds = tuple(dict.fromkeys(kind for kind, _ in said if kind in _WORDS))
-    styles = [kind for kind, _ in said if kind in _STYLES]
-    short = next((SHORT[word.text] for _, word in said if word.text in SHORT), None)
+    recognised = _recognised(rest, alone=first + len(rest) < 2)
+    kinds = tuple(dict.fromkeys(kind for kind, _ in recognised if kind in _WORDS))
+    styles = [kind for kind, _ in recognised if kind in _STYLES]
+    short = next((SHORT[word.text] for _, word in recognised if word.text in SHORT), None)
     channels = short or _channels(kinds)
-    texts_said = {word.text for _, word in said}
-    if channels.get("normal") == "RGB" and _SPATIAL & texts_said:
+    recognised_texts = {word.text for _, word in recognised}
+    if channels.get("normal") == "RGB" and _SPATIAL & recognised_texts:
         channels = {OBJECT_SPACE: "RGB"}
-    rank = max((_rank(kind, word.text) for kind, word in said), default=0)
-    used = {id(word) for _, word in said}
+    rank = max((_rank(kind, word.text) for kind, word in recognised), default=0)
+    used = {id(word) for _, word in recognised}
     stem = " ".join(word.text for word in words if id(word) not in used)
     style = styles[-1] if styles and "normal" in channels else ""
-    diffuse = "base" in channels and bool({"diffuse", "diff", "dif"} & texts_said)
-    space = _space([word.text for word in words], said) if "base" in channels else ""
+    diffuse = "base" in channels and bool({"diffuse", "diff", "dif"} & recognised_texts)
+    space = _space([word.text for word in words], recognised) if "base" in channels else ""
     return NamedFile(path, channels, style, rank, stem, diffuse, space)
 
 
-def _space(texts: Sequence[str], said: Sequence[tuple[str, _Word]]) -> str:
+def _space(texts: Sequence[str], recognised: Sequence[tuple[str, _Word]]) -> str:
     """The colour space that the words at and after a map's state, or ""."""
-    spoken = [word.text for _, word in said]
+    spoken = [word.text for _, word in recognised]
     first = len(texts) - texts[::-1].index(spoken[0]) - 1
     return next((_SPACES[text] for text in texts[first:] if text in _SPACES), "")
 
 
-def _said(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
+def _recognised(rest: Sequence[_Word], *, alone: bool) -> list[tuple[str, _Word]]:
     """The words at a name's end that state its map, each with the map or style it names.
 
     Args:

@@ -192,7 +192,6 @@ _METALS = frozenset(
 _COLOURED_SHARE = 0.01  # of texels from which on a specular map is coloured
 _FLAT = 1e-6  # relative range below which a height map is flat
 
-
 DIELECTRIC = 0.04  # F0 of dielectrics where a set states none
 _COLOURED = 0.02  # mean difference between channels above which a picture is coloured
 _MOST_FOLDERS = 50  # that are looked into
@@ -391,8 +390,8 @@ class ForeignMaps:
         plain = DIELECTRIC if level is None else _LEVEL * level
         if metallic is None:
             if _METALS & set(re.findall("[a-z]+", self.files["base"].path.name.lower())):
-                said = "no metallic map: read as dielectric, though its name is a metal's"
-                self.notes.append(said)
+                note = "no metallic map: read as dielectric, though its name is a metal's"
+                self.notes.append(note)
             metallic = self._uniform(0.0)
         both = metallic_of(base, metallic, plain)
         return both[:3], both[3:] if metallic.any() else both[3:4]

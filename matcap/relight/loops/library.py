@@ -13,8 +13,6 @@ import numpy as np
 from matcap.files.process import find_library, not_built
 from matcap.relight.camera import Array, lattice
 
-# Loads the compiled loops, and passes arrays to them.
-
 # As in loops.h.
 _FORM = 3
 LANES, CHANNELS, AZIMUTHS = 8, 9, 16

@@ -101,6 +101,7 @@ def fold(decoder: Decoder, base: Base) -> Decoder:
 # Contact sheet of materials.
 
 _COLUMNS = 4  # materials in a row
+_TILE = 256  # texels a side
 _BRIGHTNESS = 0.25  # mean radiance of every tile
 
 
@@ -111,18 +112,17 @@ def flash_picture(material: Material, size: int, seed: int) -> Tensor:
         return render_rectified(maps, material.setup)
 
 
-def sample_sheet(materials: Sequence[Material], seed: int, size: int = 256) -> NDArray[np.float32]:
-    """(rows * size, columns * size, 3) linear image, each material rendered under its own flash.
+def sample_sheet(materials: Sequence[Material], seed: int) -> NDArray[np.float32]:
+    """(rows * _TILE, columns * _TILE, 3) linear image, each material under its own flash.
 
     Args:
         materials: at least one.
         seed: of the first material's field; each next one adds 1.
-        size: texels a side of a tile.
     """
     count = len(materials)
     tiles = []
     for index, material in enumerate(materials):
-        picture = flash_picture(material, size, seed + index)
+        picture = flash_picture(material, _TILE, seed + index)
         exposed = picture * (_BRIGHTNESS / picture.mean().clamp_min(1e-6))
         tiles.append(exposed.clamp(0.0, 1.0).permute(1, 2, 0).numpy())
     columns = min(_COLUMNS, count)
@@ -288,11 +288,7 @@ class Prior:
         return self.anchor(photo.pixels, coarse, plane, waves)
 
     def anchor(
-        self,
-        pixels: NDArray[np.float32],
-        coarse: CoarseFit,
-        plane: Plane,
-        waves: tuple[Wave, ...],
+        self, pixels: NDArray[np.float32], coarse: CoarseFit, plane: Plane, waves: tuple[Wave, ...]
     ) -> Anchor:
         """Position of a photograph, of waves in cycles per texel of `plane`; see code()."""
         code, times = self.code(pixels, coarse, plane), plane.size[0] / DETAIL
@@ -323,12 +319,7 @@ class Prior:
         return Anchor(latent.code, latent.numbers[CODE_SIZE:], waves)
 
     def draw(
-        self,
-        seed: int,
-        *,
-        near: Anchor | None = None,
-        spread: float = SPREAD,
-        name: str = "drawn",
+        self, seed: int, *, near: Anchor | None = None, spread: float = SPREAD, name: str = "drawn"
     ) -> Material:
         """Draw a material.
 

@@ -43,12 +43,15 @@ from matcap.space.random_field import (
 from matcap.space.tuning.match import (
     MARGIN,
     Lesson,
+    PhotographTarget,
     Teacher,
+    compare_windows,
     log_contrast,
     reading_cells,
+    render_windows,
+    shuffled,
     untrained,
 )
-from matcap.space.tuning.windows import PhotographTarget, compare_windows, render_windows, shuffled
 
 # Schedule of fine-tuning: end, freezing and learning rate.
 
@@ -156,39 +159,27 @@ class Renormalisation:
 
 _LOGIT_EPSILON = 1e-4  # of albedo, F0 and roughness: bounds the logit at 0 and 1
 
-
-@dataclass(frozen=True)
-class Penalties:
-    """Weights of the penalties added to the texture distance; docs/notes/prior.md."""
-
-    slope: float = 0.005
-    """Weight of the mean squared slope."""
-    specular: float = 0.02
-    roughness: float = 0.01
-    """Weights of the variances of their logits, so that diffuse albedo is preferred where it
-    explains the photograph as well."""
-    departure: float = 0.003
-    """Weight of the squared difference of mean maps from the coarse fit, over `fit_deviation`."""
-    outlier: float = 0.05
-    """Weight of the squared excess of texels over `outlying` standard deviations, in logits of
-    diffuse albedo, F0 and roughness; the statistics do not see few of them."""
-    steep: float = 0.3
-    """Weight of the squared excess of slopes over `steepest`."""
-    outlying: float = 4.0
-    """Standard deviations of a map beyond which a texel is an outlier."""
-    outliers_from: float = 0.5
-    """Share of the steps before outliers are penalised, as real features (metal between rust) also
-    begin as specks."""
-    even: float = 0.05
-    """Logits, added in quadrature to the standard deviation of a map."""
-    steepest: float = 1.0
-    """Slope; 1 is 45 degrees, the steepest that a flash photograph shows."""
-    fit_deviation: tuple[float, float, float, float, float] = (0.4, 0.4, 0.4, 0.6, 2.0)
-    """Standard deviations of the coarse fit's logits of diffuse albedo (3), F0 and roughness; the
-    last is large because relief widens the highlight, which biases roughness."""
+# Weights of the penalties added to the texture distance; docs/notes/prior.md.
+_SLOPE = 0.005  # of the mean squared slope
+# Of the variances of their logits, so that diffuse albedo is preferred where it explains the
+# photograph as well.
+_SPECULAR, _ROUGHNESS = 0.02, 0.01
+_DEPARTURE = 0.003  # of the squared difference of mean maps from the coarse fit
+# Of the squared excess of texels over _OUTLYING standard deviations, in logits of diffuse albedo,
+# F0 and roughness; the statistics do not see few of them.
+_OUTLIER, _OUTLYING = 0.05, 4.0
+# Share of the steps before outliers are penalised, as real features (metal between rust) also begin
+# as specks.
+_OUTLIERS_FROM = 0.5
+_EVEN = 0.05  # logits, added in quadrature to the standard deviation of a map
+_STEEP = 0.3  # of the squared excess of slopes over _STEEPEST
+_STEEPEST = 1.0  # 45 degrees, the steepest slope that a flash photograph shows
+# Standard deviations of the coarse fit's logits of diffuse albedo (3), F0 and roughness; the last
+# is large because relief widens the highlight, which biases roughness.
+_FIT_DEVIATION = (0.4, 0.4, 0.4, 0.6, 2.0)
 
 
-def map_penalty(maps: MapSet, expected: Tensor | None, weights: Penalties, share: float) -> Tensor:
+def map_penalty(maps: MapSet, expected: Tensor | None, share: float) -> Tensor:
     """Penalty of maps (B, ., H, W), a differentiable scalar.
 
     Args:
@@ -197,37 +188,37 @@ def map_penalty(maps: MapSet, expected: Tensor | None, weights: Penalties, share
     """
     normal = maps.normal
     squared = (normal[:, :2] / normal[:, 2:]).square().sum(dim=1)
-    steep = torch.relu((squared + 1e-6).sqrt() - weights.steepest).square().mean()
-    penalty = weights.slope * squared.mean() + weights.steep * steep
+    steep = torch.relu((squared + 1e-6).sqrt() - _STEEPEST).square().mean()
+    penalty = _SLOPE * squared.mean() + _STEEP * steep
     # A coloured F0 is averaged over channels, as the coarse fit's is achromatic.
     maps = replace(maps, specular=maps.specular.mean(dim=1, keepdim=True))
     specular = torch.logit(maps.specular, eps=_LOGIT_EPSILON)
     roughness = torch.logit(maps.roughness, eps=_LOGIT_EPSILON)
-    penalty = penalty + weights.specular * specular.var()
-    penalty = penalty + weights.roughness * roughness.var()
-    if share > weights.outliers_from:
+    penalty = penalty + _SPECULAR * specular.var()
+    penalty = penalty + _ROUGHNESS * roughness.var()
+    if share > _OUTLIERS_FROM:
         diffuse = torch.logit(maps.diffuse, eps=_LOGIT_EPSILON)
-        penalty = penalty + weights.outlier * _outlying([diffuse, specular, roughness], weights)
+        penalty = penalty + _OUTLIER * _outlying([diffuse, specular, roughness])
     if expected is not None:
-        penalty = penalty + weights.departure * _departure(maps, expected, weights)
+        penalty = penalty + _DEPARTURE * _departure(maps, expected)
     return penalty
 
 
-def _outlying(logits: list[Tensor], weights: Penalties) -> Tensor:
+def _outlying(logits: list[Tensor]) -> Tensor:
     """Mean squared excess of outliers, summed over channels, in standard deviations."""
     reflectance = torch.cat(logits, dim=1)
     deviation = reflectance - reflectance.mean(dim=(0, 2, 3), keepdim=True)
     variance = deviation.square().mean(dim=(0, 2, 3), keepdim=True)
-    outlying = torch.relu(deviation.abs() / (variance + weights.even**2).sqrt() - weights.outlying)
+    outlying = torch.relu(deviation.abs() / (variance + _EVEN**2).sqrt() - _OUTLYING)
     return outlying.square().mean((0, 2, 3)).sum()
 
 
-def _departure(maps: MapSet, expected: Tensor, weights: Penalties) -> Tensor:
+def _departure(maps: MapSet, expected: Tensor) -> Tensor:
     """Squared standardised difference of mean maps from the coarse fit."""
     # The fit is to a blurred photograph, so it estimates means of maps, not of logits.
     linear = torch.cat([maps.diffuse, maps.specular, maps.roughness], dim=1)
     means = torch.logit(linear.mean(dim=(0, 2, 3)), eps=_LOGIT_EPSILON)
-    return ((means - expected) / expected.new_tensor(weights.fit_deviation)).square().sum()
+    return ((means - expected) / expected.new_tensor(_FIT_DEVIATION)).square().sum()
 
 
 # Optimiser of fine-tuning: Adam with clipped gradients, without the steps that are not finite.
@@ -330,7 +321,7 @@ _SEED_STRIDE = 1_000_003  # between seeds, so that runs share no noise
 
 @dataclass(frozen=True)
 class TuneSettings:
-    """Limits, rates and penalties of fine-tuning."""
+    """Limits and rates of fine-tuning."""
 
     steps: int
     """Largest number of steps."""
@@ -344,8 +335,6 @@ class TuneSettings:
     """Factor on it of the weights that read a drawing."""
     warm_up: int = WARM_UP
     """Steps of linear warm-up of the learning rate."""
-    penalties: Penalties = Penalties()
-    """Weights of the penalties on maps."""
     half_precision: bool = True
     """Use bfloat16 in network and features, on processors with bfloat16 instructions."""
     seed: int = 0
@@ -370,11 +359,7 @@ OnStep = Callable[[float, float, float], None]  # share done, running error, sec
 
 
 def finetune(
-    decoder: Decoder,
-    code: Tensor,
-    scene: PhotographTarget,
-    settings: TuneSettings,
-    report: OnStep,
+    decoder: Decoder, code: Tensor, scene: PhotographTarget, settings: TuneSettings, report: OnStep
 ) -> Tuned:
     """Fine-tune a decoder to a photograph, in place.
 
@@ -409,7 +394,7 @@ def finetune(
             maps = decode_window(decoder.config, decode, scene, seed, lesson, half_precision=half)
             rendered = render_windows(maps, scene, places, schedule.step)
             loss = compare_windows(rendered, scene, places, half_precision=half)
-            penalty = map_penalty(maps, scene.expected, settings.penalties, schedule.share)
+            penalty = map_penalty(maps, scene.expected, schedule.share)
             if lesson is not None:
                 penalty = penalty + lesson.loss(maps)
             taken = optimiser.take(loss, penalty, schedule.pace)

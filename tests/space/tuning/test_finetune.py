@@ -21,7 +21,7 @@ from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_
 from matcap.space.freeze import fold, freeze
 from matcap.space.random_field import CELL_CHANNELS, WAVE_CHANNELS, Patch, RandomField, random_field
 from matcap.space.tuning import finetune
-from matcap.space.tuning.finetune import Optimiser, Penalties, map_penalty
+from matcap.space.tuning.finetune import Optimiser, map_penalty
 from matcap.space.tuning.match import reading_cells
 from matcap.statistics.compare import Weights, describe, distance
 from matcap.statistics.lattice import Wave
@@ -181,7 +181,7 @@ def test_variation_of_gloss_is_penalised():
 
     def paid(specular, roughness, wanted=None):
         maps = MapSet(diffuse, specular, roughness, 0.0 * even, 0.01)
-        return float(map_penalty(maps, wanted, Penalties(), 0.0))
+        return float(map_penalty(maps, wanted, 0.0))
 
     flat = paid(even, even)
     assert paid(uneven, even) > flat and paid(even, uneven) > flat
@@ -189,8 +189,8 @@ def test_variation_of_gloss_is_penalised():
     assert paid(even + 0.2, even, expected) > paid(even + 0.1, even, expected) > flat
 
 
-def test_outliers_are_penalised_in_the_second_half_and_patches_never():
-    weights = Penalties(specular=0.0)
+def test_outliers_are_penalised_in_the_second_half_and_patches_never(monkeypatch):
+    monkeypatch.setattr(finetune, "_SPECULAR", 0.0)
     row = torch.arange(64)
     everywhere = torch.full((1, 3, 64, 64), 0.3)
 
@@ -199,7 +199,7 @@ def test_outliers_are_penalised_in_the_second_half_and_patches_never():
         specular = torch.where(metal, 0.7, 0.04)[None, None].requires_grad_(True)
         flat = torch.full((1, 1, 64, 64), 0.3)
         maps = MapSet(everywhere, specular, flat, 0.0 * flat, 0.01)
-        penalty = map_penalty(maps, None, weights, share)
+        penalty = map_penalty(maps, None, share)
         (gradient,) = torch.autograd.grad(penalty, specular, allow_unused=True)
         assert gradient is None or torch.isfinite(gradient).all()
         return float(penalty.detach())
@@ -221,7 +221,7 @@ def test_a_coloured_f0_has_the_penalty_of_its_mean(share):
     draw = torch.rand(2, 6, 16, 24, generator=torch.Generator().manual_seed(1)) * 0.5 + 0.2
     grey = MapSet.from_stacked(draw, 0.1)
     coloured = replace(grey, specular=grey.specular * COPPER / COPPER.mean())
-    paid, owed = (map_penalty(m, torch.zeros(5), Penalties(), share) for m in (coloured, grey))
+    paid, owed = (map_penalty(m, torch.zeros(5), share) for m in (coloured, grey))
     assert float(paid) == pytest.approx(float(owed), rel=1e-5)
     assert float(paid) > 0.0
 

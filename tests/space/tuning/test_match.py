@@ -20,8 +20,17 @@ from matcap.flash.light import render_rectified
 from matcap.flash.rectify import Plane, plane_of, rectify, rectify_noise
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
-from matcap.space.tuning.match import _Blocks, _gain, _shift, correction, match_photograph
-from matcap.space.tuning.windows import _best_scale, cut_windows, shot_deviation, with_noise
+from matcap.space.tuning.match import (
+    _best_scale,
+    _Blocks,
+    _gain,
+    _shift,
+    correction,
+    cut_windows,
+    match_photograph,
+    shot_deviation,
+    with_noise,
+)
 from matcap.statistics.compare import (
     FilterBank,
     FilterBankConfig,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from tuning import scene
 
-from matcap.space.tuning.windows import self_difference
+from matcap.space.tuning.match import self_difference
 from matcap.statistics.compare import Weights, distance
 
 SEEN = scene()

@@ -8,8 +8,7 @@ from matcap.flash.light import render_rectified
 from matcap.flash.rectify import plane_of
 from matcap.space.decoder import CODE_SIZE, DecoderConfig, maps_from_raw
 from matcap.space.tuning.finetune import TuneSettings, finetune
-from matcap.space.tuning.match import log_contrast, untrained
-from matcap.space.tuning.windows import PhotographTarget, cut_windows
+from matcap.space.tuning.match import PhotographTarget, cut_windows, log_contrast, untrained
 from matcap.statistics.compare import FilterBank, FilterBankConfig
 
 WIDTH, HEIGHT, WINDOW = 96, 64, 48

@@ -16,7 +16,7 @@ from matcap.brdf.cook_torrance import cook_torrance
 from matcap.files.exr import write_exr
 from matcap.relight.camera import dot, view_of
 from matcap.relight.effects import multiscatter
-from matcap.relight.environment_map import albedo
+from matcap.relight.effects.multiscatter import albedo
 from matcap.relight.render import Renderer
 from matcap.relight.scene import (
     Camera,
