@@ -164,7 +164,10 @@ def _reasons(finding: Finding, seen: Measurements) -> Iterator[tuple[str, str]]:
     confidence = exemplar.confidence or {}
     relief = [confidence[name] for name in ("height", "normal") if name in confidence]
     if name in _IN_TEXTURE | {"highlight_residue"} and band != "coloured":  # relief has no colour
-        if exemplar.error > _MISFIT or any(each < 1.0 - _PREDICTED for each in relief):
+        # Gloss shows relief: what is weaker there is relief that is not known.
+        lost = bool(band) and finding.value < 1.0 and "in the light" in finding.says
+        unknown = any(each < 1.0 - _PREDICTED for each in relief)
+        if lost or unknown or exemplar.error > _MISFIT:
             yield "light from one place shows little of the relief across its direction", ""
         elif confidence:
             yield (
