@@ -163,13 +163,14 @@ def _reasons(finding: Finding, seen: Measurements) -> Iterator[tuple[str, str]]:
     exemplar = seen.exemplar
     confidence = exemplar.confidence or {}
     relief = [confidence[name] for name in ("height", "normal") if name in confidence]
-    if name in _IN_TEXTURE | {"highlight_residue"} and band != "coloured":  # relief has no colour
+    if name in _IN_TEXTURE | {"highlight_residue"}:
         # Gloss shows relief: what is weaker there is relief that is not known.
         lost = bool(band) and finding.value < 1.0 and "in the light" in finding.says
         unknown = any(each < 1.0 - _PREDICTED for each in relief)
-        if lost or unknown or exemplar.error > _MISFIT:
+        misfit = exemplar.error > _MISFIT
+        if band != "coloured" and (lost or unknown or misfit):  # relief has no colour
             yield "light from one place shows little of the relief across its direction", ""
-        elif confidence:
+        elif confidence and not misfit:
             yield (
                 "maps of the photographed rectangle fit it, rearranged ones less",
                 "synthesise with a lower --variety, or make that rectangle repeat (synth --tile "
