@@ -9,6 +9,7 @@ import pytest
 import simulated_shots as shots
 from arrays import photo_from_array
 
+from matcap.capture.bracket import MERGED
 from matcap.capture.exemplar.observation import code_step
 from matcap.capture.inspection import photograph_quality
 from matcap.capture.pipeline import capture_photo
@@ -167,6 +168,14 @@ def test_a_clipped_highlight_asks_for_a_darker_photograph():
     assert f"Why: {clipped.says}. What helps: {clipped.remedy}." in worse
     good = judge(replace(FINE, photograph=quality)).sentence()
     assert good == f"good: looks like the photograph ({clipped.says}: {clipped.remedy})"
+
+
+def test_of_a_bracket_one_darker_than_its_darkest_is_asked_for():
+    photo = photo_with_clipped_highlight()
+    merged = replace(photo, notes=(f"{MERGED} other.jpg (2.0 stops darker).",))
+    remedy = photograph_quality(merged)["clipped"].remedy
+    assert "darker than the darkest" in remedy and "capture all" in remedy
+    assert "capture both" in photograph_quality(photo)["clipped"].remedy
 
 
 def test_where_it_differs_is_marked():
