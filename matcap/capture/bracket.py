@@ -43,6 +43,7 @@ Picture = NDArray[np.float32]
 Matrix = NDArray[np.float64]
 
 MOST = 5  # photographs of a bracket
+MERGED = "A bracket, merged with"  # how its note begins
 LEAST_STOPS, MOST_STOPS = 0.75, 7.0  # between two of them; 1 to 6, with an error of metadata
 _LEAST_DARKER = 0.4  # stops between medians of values, which a shoulder brings nearer to another
 _NEAR = 0.05  # way of the camera over its distance
@@ -256,7 +257,7 @@ class Bracket:
             for view, stops in zip(self.views[1:], self.stops[1:], strict=True)
         ]
         own = (f"{v.photo.name}: {note}" for v in self.views[1:] for note in v.photo.notes)
-        return (f"A bracket, merged with {', '.join(others)}.", *own)
+        return (f"{MERGED} {', '.join(others)}.", *own)
 
     def _weight(self, number: int) -> Picture:
         """(H, W, 3) inverse variance of a photograph's light, faded out towards its clip level and

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from matcap.capture.bracket import MERGED
 from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
@@ -118,24 +119,26 @@ def checked(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
         replace(
             whole,
             says=f"{whole.says}{says}",
-            remedy=_darker(coarse, limit),
+            remedy=_darker(coarse, limit, any(note.startswith(MERGED) for note in photo.notes)),
             rating=Rating.of(max(whole.severity, _CORE)),
         )
     )
 
 
-def _darker(coarse: CoarseFit, limit: float) -> str:
+def _darker(coarse: CoarseFit, limit: float, merged: bool) -> str:
     """Advice for a highlight that clips at `limit`: how many stops darker another exposure is.
 
-    By the fitted radiance at the mirror point, which is an estimate beyond the limit.
+    Than the darkest of those that were `merged`. By the fitted radiance at the mirror point, which
+    is an estimate beyond the limit.
     """
     x, y = flash_mirror_point(coarse.setup)
     point = torch.tensor([x, y, 0.0])[:, None, None]
     peak = float(uniform_radiance(coarse, FlashLight.of(coarse.setup, point))[0].max())
     stops = min(max(math.ceil(math.log2(max(peak / limit, 1.0)) + 0.5), _FEWEST), _MOST)
+    than, them = (" than the darkest", "all") if merged else ("", "both")
     return (
-        f"take one more photograph {stops} stops darker from the same place, and capture both: it "
-        "measures what is clipped"
+        f"take one more photograph {stops} stops darker{than} from the same place, and capture "
+        f"{them}: it measures what is clipped"
     )
 
 

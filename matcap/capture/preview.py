@@ -214,7 +214,8 @@ def _wrapped(
 
 def panels(result: CaptureResult) -> Iterable[Panel]:
     """Panels of a material, over a rectangle as large as the photograph."""
-    marked = None if result.verdict.rating is Rating.GOOD else result.verdict.worst.where
+    worst = result.verdict.worst
+    marked = None if worst.rating is Rating.GOOD else worst.where  # small differences have no place
     yield replace(_photograph(result), marked=marked)
     yield replace(_developed("re-rendered", result, result.rerendered), marked=marked)
     yield from lit_panels(result.maps, result.rerendered, result.material.setup)

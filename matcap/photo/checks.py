@@ -340,7 +340,7 @@ _TABLE = (
         "pits", "depth of the darkest spots in the light, re-rendered over photographed", "times",
         (1.5, 2.0, 3.0),
         "the darkest spots in the light are {value:.1f} times as deep as in the photograph",
-        seen="black pits",
+        seen="black pits", factor=True,
     ),
     QualityCheck(
         "pattern", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),

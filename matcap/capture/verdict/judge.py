@@ -81,7 +81,7 @@ class CaptureVerdict:
             return f"{self.rating.value}: looks like the photograph{note}"
         worst, place = self.worst, ""
         if worst.severity <= 1.0:
-            small = [one for one in self.findings[1:] if one.severity > _SLIGHT]
+            small = [one for one in self.findings[1:] if _differs(one)]
             listed = "; ".join(one.says for one in sorted(small, key=lambda one: -one.severity))
             seen = f"{self.rating.value}: several small differences, none of them a fault"
             return f"{seen}: {listed}{note}."
@@ -145,25 +145,32 @@ def _explained(finding: Finding, shown: tuple[Cause, ...], seen: Measurements) -
                 return replace(finding, cause=cause.says, remedy=cause.remedy)
     if finding.cause and finding.remedy:
         return finding
-    why, remedy = next(_reasons(finding.name, seen), (_UNDETERMINED, finding.remedy))
+    why, remedy = next(_reasons(finding, seen), (_UNDETERMINED, finding.remedy))
     more = more_photographs(seen.photographs, repeats=seen.order is not None)
     return replace(finding, cause=finding.cause or why, remedy=remedy or more)
 
 
-def _reasons(name: str, seen: Measurements) -> Iterator[tuple[str, str]]:
+def _reasons(finding: Finding, seen: Measurements) -> Iterator[tuple[str, str]]:
     """Why maps differ from the photograph in a check, and what helps, the likeliest first."""
-    photograph = {finding.name: finding for finding in seen.photograph.findings}
+    name, photograph = finding.name, {one.name: one for one in seen.photograph.findings}
+    band = finding.says.split()[0] if name == "contrast" else ""
     for key, explains in _BY_PHOTOGRAPH.items():
         fault = photograph.get(key)
-        if fault is not None and name in explains and not _fine(fault):
+        # Blur hides fine texture alone.
+        blameless = key == "sharpness" and band in ("coarse", "coloured")
+        if fault is not None and name in explains and not _fine(fault) and not blameless:
             yield fault.says, fault.remedy
     exemplar = seen.exemplar
     confidence = exemplar.confidence or {}
     relief = [confidence[name] for name in ("height", "normal") if name in confidence]
     if name in _IN_TEXTURE | {"highlight_residue"}:
-        if exemplar.error > _MISFIT or any(each < 1.0 - _PREDICTED for each in relief):
+        # Gloss shows relief: what is weaker there is relief that is not known.
+        lost = bool(band) and finding.value < 1.0 and "in the light" in finding.says
+        unknown = any(each < 1.0 - _PREDICTED for each in relief)
+        misfit = exemplar.error > _MISFIT
+        if band != "coloured" and (lost or unknown or misfit):  # relief has no colour
             yield "light from one place shows little of the relief across its direction", ""
-        elif confidence:
+        elif confidence and not misfit:
             yield (
                 "maps of the photographed rectangle fit it, rearranged ones less",
                 "synthesise with a lower --variety, or make that rectangle repeat (synth --tile "
@@ -175,6 +182,12 @@ def _reasons(name: str, seen: Measurements) -> Iterator[tuple[str, str]]:
             "a developed picture does not keep highlights and colours in proportion to light",
             "photograph RAW (DNG), or take one more a few stops darker and capture both",
         )
+
+
+def _differs(finding: Finding) -> bool:
+    """Whether a small difference is worth a word: parts of the photograph differ as well."""
+    alike = finding.name == "texture" and finding.value is not None and finding.value <= 1.0
+    return finding.severity > _SLIGHT and not alike
 
 
 def _fine(finding: Finding) -> bool:

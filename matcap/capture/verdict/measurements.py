@@ -47,6 +47,10 @@ _CELLS = 64  # cells across the low-pass filtered pictures
 # Standard deviation of the low-pass, cells: shorter wavelengths are texture, not light.
 _SMOOTH = 2.0
 _TOE = 0.02  # share of the median that is added before logarithms
+# A channel's least median, share of all channels' mean: what a darker one lacks is added to it, as
+# the green of a blue paint, 1 % of its blue, may double unseen.
+_LEAST_CHANNEL = 0.25
+_SPARSE = 4  # every so many texels along each axis tell of a channel's median
 # Standard deviations, texels, of the two Gaussians of the band-pass for fine texture.
 _FINE = (1.0, 3.0)
 _COARSE_BAND = (4.0, 16.0)  # standard deviations of the band-pass for coarse texture, texels
@@ -171,13 +175,19 @@ def smooth_difference(
         median log ratio of each channel, and root-mean-square of the remaining difference of log
         luminance by light.
     """
-    toe = _TOE * np.median(before, axis=(0, 1)) + 1e-6
+    median = np.median(before, axis=(0, 1))
+    toe = np.maximum(_TOE * median + 1e-6, _lacking(median))
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
     floor = _TOE * float(np.median(light)) + 1e-6
     difference = np.log((lit + floor) / (light + floor))
     rest = by_place(difference)
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
+
+
+def _lacking(median: NDArray[Any]) -> NDArray[Any]:
+    """What each channel's median (3,) lacks of the least that is seen."""
+    return np.asarray(_LEAST_CHANNEL * median.mean() - median)
 
 
 def texture_contrasts(
@@ -196,7 +206,7 @@ def texture_contrasts(
     bright = _bright_tiles(seen)
     before, after = tiles
     if developed:
-        noise = _code_variance(cell_means(seen, _TILES), _log_luminance(seen)[1])
+        noise = _code_variance(cell_means(seen, _TILES), _floors(seen))
         before, after = (each | {"coloured": each["coloured"] + noise} for each in tiles)
 
     contrast, places = {}, {}
@@ -227,7 +237,7 @@ def dark_spots(
     seen = cv2.resize(lit, valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(bool) & valid
     if seen.mean() < _BRIGHT * _LEAST_SEEN:
         return 1.0, {}
-    bands = [band_passed(_log_luminance(each)[0], *_SPOT_BAND) for each in pictures]
+    bands = [band_passed(_log_luminance(each), *_SPOT_BAND) for each in pictures]
     before, after = (max(-float(np.quantile(band[seen], _DEEPEST)), 0.0) for band in bands)
     deepest = cell_means((seen & (bands[1] < -after)).astype(np.float32), _TILES)
     return (after + _SHALLOW) / (before + _SHALLOW), {"pits": _tile(deepest)}
@@ -250,33 +260,39 @@ def _tile(values: NDArray[Any]) -> Region:
 
 def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
-    log, floor = _log_luminance(picture)
+    log = _log_luminance(picture)
     bands = {"fine": _FINE, "coarse": _COARSE_BAND}
     tiles = {
         band: cell_means(np.square(band_passed(log, *reach)), _TILES)
         for band, reach in bands.items()
     }
-    whole = np.log(picture + floor)
+    whole = np.log(picture + _floors(picture))
     chroma = band_passed(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
     return {**tiles, "coloured": cell_means(np.square(chroma), _TILES).mean(axis=2)}
 
 
-def _code_variance(picture: Picture, floor: float) -> Picture:
+def _code_variance(picture: Picture, floor: Picture) -> Picture:
     """(H, W) variance of log red / green and blue / green by an error of one code in each channel.
 
     Args:
         picture: (H, W, 3) linear.
-        floor: radiance added before the logarithm.
+        floor: (3,) radiance added before the logarithm.
     """
     variance = np.square(code_step(picture) / (picture + floor))
     return np.asarray(variance[..., ::2].mean(axis=2) + variance[..., 1])
 
 
-def _log_luminance(picture: Picture) -> tuple[Picture, float]:
-    """Log luminance, and the radiance added before the logarithm."""
+def _log_luminance(picture: Picture) -> Picture:
+    """Log luminance of a picture (H, W, 3), with a toe."""
     luminance = channel_mean(picture)
-    floor = _TOE * float(np.median(luminance)) + 1e-6
-    return np.log(luminance + floor), floor
+    return np.asarray(np.log(luminance + _TOE * np.median(luminance) + 1e-6))
+
+
+def _floors(picture: Picture) -> Picture:
+    """(3,) radiance added to each channel of a picture (H, W, 3) before the logarithm."""
+    some = picture[::_SPARSE, ::_SPARSE]
+    floor = _TOE * np.median(channel_mean(some)) + 1e-6
+    return np.maximum(floor, _lacking(np.median(some, axis=(0, 1)))).astype(np.float32)
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import pytest
 import simulated_shots as shots
 from arrays import photo_from_array
 
+from matcap.capture.bracket import MERGED
 from matcap.capture.exemplar.observation import code_step
 from matcap.capture.inspection import photograph_quality
 from matcap.capture.pipeline import capture_photo
@@ -135,6 +136,29 @@ def test_why_and_what_helps_are_what_inspect_says():
     assert "lost at" not in judge(replace(FINE, texture=2.0, **sharp)).sentence()
 
 
+@pytest.mark.parametrize(
+    ("band", "factor", "why"),
+    [
+        ("fine texture beside the light", 0.5, "lost at"),
+        ("coarse texture beside the light", 0.5, "rearranged"),
+        ("coarse texture in the light", 0.5, "shows little of the relief"),
+        ("coarse texture in the light", 2.0, "rearranged"),
+        ("coloured texture in the light", 0.5, "rearranged"),
+    ],
+)
+def test_blur_hides_fine_texture_and_relief_has_no_colour(band, factor, why):
+    shot = shot_with("sharpness", 2.5, details=5.0, width=1024)
+    worse = {"contrast": {band: (0.1, 0.1 * factor)}, **shot}
+    assert why in judge(replace(FINE, **worse)).sentence()
+
+
+def test_small_differences_are_listed_but_not_what_is_no_difference():
+    worse = {"light": 0.11, "colour": (0.055, 0.0, 0.0), "texture": 0.99, "pits": 1.0}
+    sentence = judge(replace(FINE, **worse)).sentence()
+    assert "several small differences" in sentence and "shading" in sentence
+    assert "two parts of the photograph" not in sentence and "darkest spots" not in sentence
+
+
 def test_a_clipped_highlight_asks_for_a_darker_photograph():
     quality = photograph_quality(photo_with_clipped_highlight())
     clipped = quality["clipped"]
@@ -144,6 +168,14 @@ def test_a_clipped_highlight_asks_for_a_darker_photograph():
     assert f"Why: {clipped.says}. What helps: {clipped.remedy}." in worse
     good = judge(replace(FINE, photograph=quality)).sentence()
     assert good == f"good: looks like the photograph ({clipped.says}: {clipped.remedy})"
+
+
+def test_of_a_bracket_one_darker_than_its_darkest_is_asked_for():
+    photo = photo_with_clipped_highlight()
+    merged = replace(photo, notes=(f"{MERGED} other.jpg (2.0 stops darker).",))
+    remedy = photograph_quality(merged)["clipped"].remedy
+    assert "darker than the darkest" in remedy and "capture all" in remedy
+    assert "capture both" in photograph_quality(photo)["clipped"].remedy
 
 
 def test_where_it_differs_is_marked():
@@ -449,6 +481,19 @@ def test_another_place_for_veins_is_no_other_light():
     assert smooth_difference(light * vein, light * other)[1] < 0.25 * whole
     assert smooth_difference(light, light * np.exp(0.5 * x))[1] > 0.2
     assert smooth_difference(light, light**2)[1] > 0.2
+
+
+def test_a_channel_that_is_hardly_there_has_no_colour_of_its_own():
+    """Green of 1 % of a paint's blue, in the re-rendering twice that: a tenth; of a grey, all."""
+    paint = np.ones((48, 64, 3)) * (0.03, 0.002, 0.2)
+    (_, green, _), _ = smooth_difference(paint, paint * (1.0, 2.0, 1.0))
+    assert 0.0 < green < 0.12
+    grey = np.ones((48, 64, 3)) * 0.1
+    (_, green, _), _ = smooth_difference(grey, grey * (1.0, 2.0, 1.0))
+    assert green == pytest.approx(np.log(2.0), abs=0.02)
+    mottled = np.full((384, 512, 3), (0.03, 0.002, 0.2), np.float32)
+    mottled[..., 1] *= np.exp(0.5 * np.sin(np.arange(512) / 6.0))  # unseen
+    assert np.sqrt(tile_contrasts(mottled)["coloured"].max()) < 0.05
 
 
 BAD_SHOTS = {
