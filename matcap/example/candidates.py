@@ -133,6 +133,7 @@ def _difference(values: NDArray[np.float32], out: NDArray[np.float32]) -> None:
 _FALL_OFF = 8.0  # f of the neighbourhood's weights exp(-r^2 / f), in squared steps
 _SAMPLES = 20_000  # neighbourhoods that the PCA is computed from
 _CLIPPED = 0.002  # share of places whose first component exceeds appearance.LARGEST
+_EXACT = 1024  # samples whose sum of products is below 2^24, so that float32 is exact
 
 DIMENSIONS = 8
 # Limit of an appearance, chosen so that kernel.c's costs fit 32 bits: over four neighbours of eight
@@ -162,15 +163,24 @@ def choose_basis(features: FeatureMap, step: int) -> Basis:
     places = features.shape[1] * features.shape[2]
     chosen = np.arange(0, places, max(1, places // _SAMPLES))
     rows, columns = np.divmod(chosen, features.shape[2])
-    samples = np.concatenate([tap[:, rows, columns] for tap in taps]).astype(np.float64)
+    samples = np.concatenate([tap[:, rows, columns] for tap in taps])
     weight = np.repeat(_tap_weights(), PLANES)
-    centred = (samples - samples.mean(axis=1, keepdims=True)) * weight[:, None]
-    _, components = np.linalg.eigh(centred @ centred.T)
+    _, components = np.linalg.eigh(_scatter(samples) * weight * weight[:, None])
     components = components[:, : -DIMENSIONS - 1 : -1].T * weight
     weights = np.rint(components * (LIMIT / np.abs(components).max())).astype(np.int8)
-    sums = np.abs(weights[0].astype(np.float64) @ samples)
+    sums = np.abs(weights[0].astype(np.float32) @ samples)
     large = max(float(np.quantile(sums, 1.0 - _CLIPPED)), 1.0)
     return Basis(weights, max(0, math.ceil(math.log2(large / LARGEST))), step)
+
+
+def _scatter(samples: NDArray[np.integer]) -> NDArray[np.float64]:
+    """(TAPS, TAPS) n times the covariance of (TAPS, n) samples, exact up to the means' product."""
+    products = np.zeros((len(samples), len(samples)))
+    for start in range(0, samples.shape[1], _EXACT):
+        some = samples[:, start : start + _EXACT].astype(np.float32)
+        products += some @ some.T
+    sums = samples.sum(axis=1, dtype=np.float64)
+    return products - np.outer(sums, sums / samples.shape[1])
 
 
 def project(features: FeatureMap, basis: Basis) -> Appearance:

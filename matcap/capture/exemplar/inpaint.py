@@ -42,6 +42,9 @@ _LEAST_CONFIDENCE = 0.75
 _WELL_SEEN = 0.75  # quantile of confidence that defines well seen
 _MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
 _WHOLE_DONOR = 0.95  # least confident share of a donor block
+# A texel whose log albedo is this many times the median distance from the median is a mark, unless
+# more than _MARKED of the picture are: dust, a stain, what lies beside the sample.
+_OUTSTANDING, _MARKED = 7.0, 0.03
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
@@ -163,7 +166,8 @@ def transport(
     relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
     most = float(np.quantile(relative[known], _MOST_HIDDEN)) + 1e-6
     hidden = _around(relative < min(_LEAST_CONFIDENCE, most))
-    donors = _donors(~hidden & known)
+    visible = ~hidden & known
+    donors = _donors(visible, exemplar.diffuse)
     # Texels outside of a crop are not inpainted: they have none known in their row, or column.
     rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
     hidden = (hidden & known) | (rows[:, None] & columns & ~known)
@@ -398,15 +402,32 @@ def _around(texels: TexelMask) -> TexelMask:
     return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
 
 
-def _donors(visible: TexelMask) -> BlockPlaces:
-    """(N, 2) corners of blocks with high confidence nearly everywhere."""
-    rows, columns = visible.shape
-    if min(rows, columns) <= _BLOCK:
+def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
+    """(H, W) bool: visible texels whose albedo is like hardly any other's."""
+    log = np.stack([cv2.GaussianBlur(np.log(plane.clip(1e-3)), (0, 0), 1.0) for plane in albedo])
+    away = np.abs(log - np.median(log[:, visible], axis=1)[:, None, None]).max(axis=0)
+    usual, most = np.quantile(away[visible], [0.5, 1.0 - _MARKED])
+    return np.asarray(visible & (away > max(_OUTSTANDING * usual, most)))
+
+
+def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:
+    """(N, 2) corners of blocks that are visible nearly everywhere, with no more marks than usual.
+
+    A copy of a mark is a second one beside it; a texture that has marks in most blocks keeps them.
+    """
+    if min(visible.shape) <= _BLOCK:
         return np.zeros((0, 2), np.int64)
-    sums = cv2.integral(visible.astype(np.uint8)).astype(np.int64)
-    n = _BLOCK
-    count = sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n]
-    return np.argwhere(count >= _WHOLE_DONOR * n * n)
+    usable = _counts(visible) >= _WHOLE_DONOR * _BLOCK**2
+    if usable.any():
+        marked = _counts(_marks(albedo, visible))
+        usable &= marked <= 2.0 * np.median(marked[usable])
+    return np.argwhere(usable)
+
+
+def _counts(texels: TexelMask) -> NDArray[np.int64]:
+    """(H - _BLOCK + 1, W - _BLOCK + 1) number of texels in the block at each corner."""
+    sums, n = cv2.integral(texels.astype(np.uint8)).astype(np.int64), _BLOCK
+    return np.asarray(sums[n:, n:] - sums[:-n, n:] - sums[n:, :-n] + sums[:-n, :-n])
 
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:

@@ -269,6 +269,23 @@ def test_inpainting_is_deterministic(shot: Photographed) -> None:
     assert np.array_equal(first.stacked(), again.stacked())
 
 
+def test_marks_are_not_copied_but_those_of_most_blocks_are(shot: Photographed) -> None:
+    """Dirt, and a shadow along an edge, are not shown a second time."""
+    rng = np.random.default_rng(3)
+    marked = _hidden(shot)
+    dusty, spotted = (marked.diffuse.copy() for _ in range(2))
+    dusty[:, 377:] = 0.005
+    for row, column in rng.integers((8, 8), (350, 500), size=(25, 2)):
+        dusty[:, row : row + 5, column : column + 5] = 0.005
+    for row, column in rng.integers((8, 8), (370, 500), size=(200, 2)):
+        spotted[:, row : row + 5, column : column + 5] = 0.005
+    for albedo, copied in ((dusty, False), (spotted, True)):
+        albedo[:, *HOLE] = 0.8
+        exemplar = replace(marked, diffuse=albedo)
+        whole = _lent(shot, exemplar, HOLE)
+        assert bool((whole.diffuse[:, *HOLE] < 0.02).any()) == copied
+
+
 def test_confident_scattered_or_tiny_exemplars_are_not_inpainted(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     trusted = replace(exemplar, confidence=np.ones_like(exemplar.confidence))
