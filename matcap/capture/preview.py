@@ -84,6 +84,15 @@ class Panel:
         hidden = cv2.resize(self.hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
         return hatched(image, hidden > 0)
 
+    def enlarged(self, width: int, height: int) -> Panel:
+        """The panel with as many pixels as another, so that both are cropped alike."""
+        import cv2
+
+        if self.values.shape[1] >= width:
+            return self
+        shown = cv2.resize(self.values, (width, height), interpolation=cv2.INTER_CUBIC)
+        return replace(self, values=np.asarray(shown, np.float32))
+
     def crop(self) -> Image.Image:
         """Crop at one pixel per texel, at a quarter of the width, next to the highlight."""
         height, width = self.values.shape[:2]
@@ -236,7 +245,7 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
 
 
 def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
-    """Panels of the decoder's field beside that by example, as panels()."""
+    """Panels of the decoder's field beside that by example, as panels(), at the same scale."""
     import torch
 
     from matcap.flash.light import render_rectified
@@ -244,9 +253,12 @@ def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
 
     with torch.inference_mode():
         rerendered = picture_of(render_rectified(maps, result.material.setup))
-    yield _photograph(result)
-    yield _developed("re-rendered", result, rerendered)
-    yield from lit_panels(maps, rerendered, result.material.setup)
+    photograph = _photograph(result)
+    yield photograph
+    height, width = photograph.values.shape[:2]
+    yield _developed("re-rendered", result, rerendered).enlarged(width, height)
+    for panel in lit_panels(maps, rerendered, result.material.setup):
+        yield panel.enlarged(width, height)
 
 
 def _photograph(result: CaptureResult) -> Panel:
