@@ -171,11 +171,6 @@ class Bracket:
     curves: tuple[ToneCurve, ...]
     """Tone curve of each."""
 
-    @property
-    def stops(self) -> tuple[float, ...]:
-        """Stops of each from the longest exposure, at least 0."""
-        return tuple(math.log2(factor) for factor in self.factors)
-
     def of(self, photos: Sequence[Photo]) -> Bracket:
         """The bracket of its photographs at another resolution, without their curves."""
         homographies = [view.homography for view in self.views]
@@ -255,11 +250,11 @@ class Bracket:
         )
 
     def _notes(self) -> tuple[str, ...]:
-        others = [
-            f"{view.photo.name} ({abs(stops - self.stops[0]):.1f} stops "
-            f"{'darker' if stops > self.stops[0] else 'brighter'})"
-            for view, stops in zip(self.views[1:], self.stops[1:], strict=True)
-        ]
+        others = []
+        for view, factor in zip(self.views[1:], self.factors[1:], strict=True):
+            stops = math.log2(factor / self.factors[0])
+            how = "darker" if stops > 0.0 else "brighter"
+            others.append(f"{view.photo.name} ({abs(stops):.1f} stops {how})")
         own = (f"{v.photo.name}: {note}" for v in self.views[1:] for note in v.photo.notes)
         return (f"A bracket, merged with {', '.join(others)}.", *own)
 
@@ -359,8 +354,7 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
             return None
         homographies.append(homography)
     views = _views(photos, homographies, sampled=sampled)
-    levels = [float(np.median(view.pixels.mean(axis=2))) for view in views]
-    order = sorted(range(len(views)), key=lambda number: -levels[number])
+    order = sorted(range(len(views)), key=lambda n: -np.median(views[n].pixels.mean(axis=2)))
     factors, curve = {order[0]: 1.0}, None
     for brighter, darker in zip(order, order[1:], strict=False):
         pair = views[brighter], views[darker]
@@ -429,7 +423,9 @@ def alignment(first: Photo, second: Photo) -> Matrix | None:
     (fixed, seen), (moving, _) = (_contrast(each, columns) for each in (first, second))
     if abs(len(fixed) - len(moving)) > _SAME_SHAPE * columns:
         return None
-    shift = _shifts(*(_whole(each) for each in (fixed, moving)))[0][0] * (columns / _WHOLE)
+    size = _WHOLE, 2 * (round(_WHOLE * len(fixed) / columns) // 2)
+    small = (area_averaged(each, size)[None] for each in (fixed, moving))
+    shift = _shifts(*small)[0][0] * (columns / _WHOLE)
     warp = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
     places = _tiles(seen)
     if len(places) < _LEAST_TILES:
@@ -528,12 +524,6 @@ def _tiles(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
         if seen[y : y + _TILE, x : x + _TILE].mean() > 0.5
     ]
     return np.array(corners, np.int64).reshape(-1, 2)
-
-
-def _whole(contrast: Picture) -> Picture:
-    """(1, h, _WHOLE) all of a picture's contrast."""
-    rows = 2 * (round(_WHOLE * contrast.shape[0] / contrast.shape[1]) // 2)
-    return area_averaged(contrast, (_WHOLE, rows))[None]
 
 
 def way_of_camera(homography: Matrix, first: Photo, second: Photo) -> float:

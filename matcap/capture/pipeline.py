@@ -73,8 +73,8 @@ def read_photograph(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             "leave it out: what does not belong to the sample is detected",
         )
-    if fine is not None and tone is not None:
-        photo = shrunk(fine, detail, tone)
+    if fine is not None:
+        photo = shrunk(fine, detail, tone or ToneCurve())
     else:
         fov, white = settings.fov, settings.white
         photo = load_photo(path, long_side=detail, fov=fov, white=white, tone=tone)
