@@ -149,7 +149,7 @@ def estimate_exemplar(
     """
     whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
     observed, prediction, spectrum = refined(
-        plane, rectified.coarse, network, clock, absolute=known.absolute
+        plane, rectified.coarse, network, clock, bound=not known.absolute
     )
     coarse = observed.coarse
     with clock.stage("inpaint"):
@@ -177,16 +177,11 @@ def estimate_exemplar(
 
 
 def refined(
-    plane: Plane,
-    coarse: CoarseFit,
-    network: Inverse,
-    clock: CaptureClock,
-    *,
-    absolute: bool = True,
+    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock, *, bound: bool = False
 ) -> tuple[Observation, NetworkPrediction, ReliefSpectrum | None]:
     """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
 
-    Unless its level is `absolute`, albedo is kept below white (Observation.below_white).
+    With `bound`, albedo is kept below white (Observation.below_white).
 
     Returns:
         The photograph with the specular tint of its metal, the fitted maps, and the energies of
@@ -194,8 +189,8 @@ def refined(
     """
     with clock.stage("network"):
         observed = Observation.of(plane, coarse)
-        observed = observed if absolute else observed.below_white()
-        observed, prediction = predict_maps(observed, network)
+        bounded = observed.below_white() if bound else observed
+        observed, prediction = predict_maps(bounded, network)
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
         observed, prediction = classified(
