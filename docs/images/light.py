@@ -4,8 +4,8 @@ python docs/images/light.py FOLDER sheet.jpg [SETS MATERIAL ...]     docs/images
 
 The photographs are simulated, as a phone develops them: one JPEG; the same and another four stops
 darker, the camera turned by half a degree; one whose base is toned locally, with an HDR gain map
-(ISO 21496-1); the light itself. Printed for each material: highlight contrast of the captured maps
-over the true one. The sheet shows the last. SETS is a folder of map sets.
+(ISO 21496-1); the light itself. Printed for each material: NSD of the captured maps, and their
+highlight contrast over the true one. The sheet shows the last. SETS is a folder of map sets.
 """
 
 from __future__ import annotations
@@ -30,7 +30,12 @@ from matcap.capture.pipeline import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.color import srgb_picture
 from matcap_lab.bench.floors import exemplar_maps
-from matcap_lab.measures.evaluator import highlight_contrast, mirrored_scene, relight_all
+from matcap_lab.measures.evaluator import (
+    EvaluationSettings,
+    Evaluator,
+    highlight_contrast,
+    mirrored_scene,
+)
 from matcap_lab.simulate.files import PHONE, write_jpeg
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise, take
 from matcap_lab.simulate.specimen import Specimen, phone_cone, subjects
@@ -47,10 +52,11 @@ def main(folder: Path, sheet: Path, sets: Path | None, names: Sequence[str]) -> 
     folder.mkdir(parents=True, exist_ok=True)
     for subject in subjects(names, sets):
         subject = replace(subject, setup=phone_cone(subject.setup, subject.name))
-        rows, ratios = relit(subject, written(folder, subject))
-        print(subject.name, *(f"{name} {ratio:.2f}" for name, ratio in ratios.items()), flush=True)
-    shown = [np.concatenate([lit[k].permute(1, 2, 0).numpy() for lit in rows], 1) for k in (0, 2)]
-    codes = np.rint(np.concatenate(shown) * 255.0).astype(np.uint8)
+        rows, numbers = relit(subject, written(folder, subject))
+        shown = (f"{kind} {nsd:.2f} {contrast:.2f}" for kind, (nsd, contrast) in numbers.items())
+        print(f"{subject.name}, NSD and contrast:", ", ".join(shown), flush=True)
+    sheets = [np.concatenate([lit[k].permute(1, 2, 0).numpy() for lit in rows], 1) for k in (0, 2)]
+    codes = np.rint(np.concatenate(sheets) * 255.0).astype(np.uint8)
     Image.fromarray(codes).save(sheet, "JPEG", quality=85)
 
 
@@ -79,28 +85,23 @@ def written(folder: Path, subject: Specimen) -> dict[str, list[Path]]:
 
 def relit(
     subject: Specimen, photographs: dict[str, list[Path]]
-) -> tuple[list[Tensor], dict[str, float]]:
-    """Pictures of captures and of the truth under mirrored lights; highlight contrast over true."""
+) -> tuple[list[Tensor], dict[str, tuple[float, float]]]:
+    """Pictures of captures and of the truth under mirrored lights; NSD and contrast over true."""
     setup = subject.take(CAMERA).setup
-    scene, width = mirrored_scene(setup), SIDE * 2.0 / DETAIL
-    pieces = [subject.pieces(subject.seed + 1 + k)(2 * SIDE, 2 * SIDE, width / 2 / SIDE)
-              for k in range(2)]  # fmt: skip
-    truth = float(np.mean([math.log(highlight_contrast(piece, scene)) for piece in pieces]))
-    rows, ratios = [], {}
+    compared = EvaluationSettings(DETAIL, SIDE, CAMERA, truths=2, finer=2)
+    evaluator = Evaluator(subject, setup, compared, {"NSD": compared.squeezenet})
+    scene = mirrored_scene(setup)
+    true = [math.log(highlight_contrast(piece, scene)) for piece in evaluator.truths]
+    rows, numbers = [], {}
     for label, paths in photographs.items():
         settings = CaptureSettings(preset="instant", detail=DETAIL, fov=CAMERA.fov)
-        maps = exemplar_maps(capture_file(paths[0], settings, others=paths[1:]))
-        middle = centred(maps.maps)
-        ratios[label] = math.exp(math.log(highlight_contrast(middle, scene)) - truth)
-        rows.append(relight_all(middle, maps.setup.intensity, scene, size=(SIDE, SIDE)))
-    rows.append(relight_all(pieces[0], setup.intensity, scene, size=(SIDE, SIDE)))
-    return rows, ratios
-
-
-def centred(maps: MapSet) -> MapSet:
-    """The central square of maps."""
-    width, height = maps.size
-    return maps.crop((width - SIDE) // 2, (height - SIDE) // 2, SIDE, SIDE)
+        captured = exemplar_maps(capture_file(paths[0], settings, others=paths[1:]))
+        middle, intensity = evaluator.middle(captured.maps), captured.setup.intensity
+        contrast = math.log(highlight_contrast(middle, scene)) - float(np.mean(true))
+        numbers[label] = evaluator.style_ratio_of(captured.maps, intensity), math.exp(contrast)
+        rows.append(evaluator.relit(middle, intensity, scene))
+    rows.append(evaluator.relit(evaluator.truths[0], setup.intensity, scene))
+    return rows, numbers
 
 
 def write_gain_map(path: Path, light: NDArray[np.float32]) -> None:

@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -37,7 +37,7 @@ from matcap.photo.exif import Exif, read_exif
 from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.load import file_kind, load_photo
 from matcap.photo.photo import FULL, Photo, ToneCurve
-from matcap.photo.response import ExposureRatio, Tones, UsableTones, fit_ratio
+from matcap.photo.response import faintest_value, ratio_of_exposures
 
 Picture = NDArray[np.float32]
 Matrix = NDArray[np.float64]
@@ -61,12 +61,10 @@ _LEAST_TILES, _LEAST_AGREEING = 10, 0.4  # number, and share, of tiles that agre
 _SMOOTH, _LEAST_WHOLE = 512, 0.3
 _SAME_SHAPE = 0.02  # difference of heights over the width
 _LEVEL = 128.0  # of normalised contrast, where there is none
-_DARKEST_CODES = 6.0  # steps of 8-bit codes, below which developed values are not compared
 # Largest difference of log light by tone, and median by pixel; a room's light has more.
 _SAME_LIGHT, _SAME_PIXELS = 0.15, 0.3
 _NOISY = 2.0  # pixels, standard deviation of a blur against noise
 _FEWEST_LIT = 200  # pixels that both measure
-_BRIGHTEST = 0.9  # of the clip level, above which values are not compared
 _FADES = (0.8, FULL)  # of the clip level: weight falls to 0 between these
 _SPREAD = 1.5  # pixels, standard deviation of the blur of clipping
 _NEAR_CLIPPED = 0.5  # relative error of light that it reaches
@@ -118,9 +116,15 @@ def _may_belong(own: Exif, other: Exif) -> bool:
 def _belong(paths: Sequence[Path], fov: float | None) -> bool:
     """Whether photographs show the same from one place at several exposures."""
     try:
-        photos = [load_photo(path, long_side=_DETECTED, fov=fov, noise=False) for path in paths]
-    except MatcapError:
+        return _aligns(tuple(paths), tuple(path.stat().st_mtime_ns for path in paths), fov)
+    except (MatcapError, OSError):
         return False
+
+
+@lru_cache(maxsize=256)
+def _aligns(paths: tuple[Path, ...], _changed: tuple[int, ...], fov: float | None) -> bool:
+    """Whether files are a bracket; kept until they change, as commands and captures both ask."""
+    photos = [load_photo(path, long_side=_DETECTED, fov=fov, noise=False) for path in paths]
     return aligned_bracket(photos) is not None
 
 
@@ -142,24 +146,19 @@ class _Aligned:
     """(H, W, 3) its noise, resampled."""
     way: float = 0.0
     """Way of its camera from the first's, over the distance."""
+    homography: Matrix = field(default_factory=partial(np.eye, 3))
+    """alignment() of the first with it."""
+
+    @property
+    def whole(self) -> Photo | None:
+        """The photograph, if it has all pixels of its file."""
+        whole = self.photo.clipped.size == math.prod(self.photo.original_size)
+        return self.photo if whole else None
 
     @cached_property
     def glint_reach(self) -> int:
         """Pixels by which glints may be elsewhere than in the first photograph."""
         return _GLINT_WIDTH + math.ceil(self.way * _focal(self.photo.fov) * self.pixels.shape[1])
-
-    @property
-    def tones(self) -> Tones:
-        """What is known of its tone curve."""
-        return Tones(not self.photo.tone_mapped, self.photo.development)
-
-    @property
-    def faintest(self) -> float:
-        """Value below which it is not compared."""
-        if self.photo.radiometric or self.photo.floating:
-            return 1e-3
-        code = np.array(_DARKEST_CODES / (255.0 * 12.92))
-        return float((self.photo.tone or ToneCurve()).linear(code))
 
 
 @dataclass(frozen=True)
@@ -173,10 +172,11 @@ class Bracket:
     curves: tuple[ToneCurve, ...]
     """Tone curve of each."""
 
-    @property
-    def stops(self) -> tuple[float, ...]:
-        """Stops of each from the longest exposure, at least 0."""
-        return tuple(math.log2(factor) for factor in self.factors)
+    def of(self, photos: Sequence[Photo]) -> Bracket:
+        """The bracket of its photographs at another resolution, without their curves."""
+        homographies = [view.homography for view in self.views]
+        linear = (ToneCurve(),) * len(photos)
+        return replace(self, views=_views(photos, homographies, sampled=False), curves=linear)
 
     def light(self, number: int) -> Picture:
         """(H, W, 3) light by one photograph, in units of the longest exposure's white."""
@@ -194,7 +194,7 @@ class Bracket:
                 cv2.GaussianBlur(self.light(k).mean(axis=2), (0, 0), _NOISY)[both]
                 for k in (one, other)
             )
-            lit = second > self.factors[other] * self.views[other].faintest
+            lit = second > self.factors[other] * faintest_value(self.views[other].photo)
             if lit.sum() < _FEWEST_LIT:
                 return math.inf
             ratio = np.log(np.maximum(second[lit], 1e-9) / np.maximum(first[lit], 1e-9))
@@ -212,7 +212,7 @@ class Bracket:
             view, light = self.views[number], self.light(number)
             weight = self._weight(number)
             if number != longest_first[0]:
-                faintest = self.factors[number] * view.faintest
+                faintest = self.factors[number] * faintest_value(view.photo)
                 light = light * _evening(light, total, weights, faintest, view.glint_reach)
                 moved = _moved(light, total, weights, faintest)
                 around = np.ones((2 * view.glint_reach + 1,) * 2, np.uint8)
@@ -251,11 +251,11 @@ class Bracket:
         )
 
     def _notes(self) -> tuple[str, ...]:
-        others = [
-            f"{view.photo.name} ({abs(stops - self.stops[0]):.1f} stops "
-            f"{'darker' if stops > self.stops[0] else 'brighter'})"
-            for view, stops in zip(self.views[1:], self.stops[1:], strict=True)
-        ]
+        others = []
+        for view, factor in zip(self.views[1:], self.factors[1:], strict=True):
+            stops = math.log2(factor / self.factors[0])
+            how = "darker" if stops > 0.0 else "brighter"
+            others.append(f"{view.photo.name} ({abs(stops):.1f} stops {how})")
         own = (f"{v.photo.name}: {note}" for v in self.views[1:] for note in v.photo.notes)
         return (f"{MERGED} {', '.join(others)}.", *own)
 
@@ -264,7 +264,8 @@ class Bracket:
         below its faintest value, which may be 0 whatever the light.
         """
         view, curve = self.views[number], self.curves[number]
-        photo, values = view.photo, np.maximum(view.pixels, np.float32(view.faintest))
+        photo, faintest = view.photo, np.float32(faintest_value(view.photo))
+        values = np.maximum(view.pixels, faintest)
         tone, codes = photo.tone or curve, photo.developed(values)
         if view.noise is not None:
             variance = cv2.GaussianBlur(np.square(view.noise), (0, 0), _NOISE_AROUND)
@@ -279,7 +280,7 @@ class Bracket:
         relative = relative + np.float32(_NEAR_CLIPPED**2) * view.near_clipped[..., None]
         low, high = (share * min(photo.headroom, 1e30) for share in _FADES)
         fade = np.clip((high - values.max(axis=2)) / (high - low), 0.0, 1.0)[..., None]
-        fade = fade * np.square(np.maximum(view.pixels / view.faintest, 0.03).clip(max=1.0))
+        fade = fade * np.square(np.maximum(view.pixels / faintest, 0.03).clip(max=1.0))
         light = np.float32(self.factors[number]) * curve.linear(values)
         weight = fade / (relative * np.square(light) + np.float32(1e-12))
         known = view.inside & ~view.clipped
@@ -320,20 +321,19 @@ def _log_ratio(
     return np.asarray(sums, np.float32), np.asarray(of, np.float32)
 
 
-def shared_curve(paths: Sequence[Path], *, fov: float | None = None) -> ToneCurve | None:
-    """The tone curve of a bracket's developed photographs; None with a linear one, or no bracket.
+def fine_bracket(
+    paths: Sequence[Path], *, fov: float | None = None, white: float | None = None
+) -> Bracket | None:
+    """The bracket of files that are no RAW, read once, at up to _FINEST; None if they are none.
 
-    By single pixels of the files: downsampling averages glints that the curve has compressed, and
-    the shoulder would be found too strong (12 materials at half the resolution: w off by 0.08, not
-    by 0.02).
+    Its tone curve is that of single pixels: downsampling averages glints that the curve has
+    compressed, and the shoulder would be found too strong (12 materials at half the resolution: w
+    off by 0.08, not by 0.02).
     """
     if any(file_kind(path) in (FileKind.RAW, FileKind.DNG) for path in paths):
         return None
-    photos = [load_photo(path, long_side=_FINEST, fov=fov, noise=False) for path in paths]
-    if not all(photo.tone_mapped for photo in photos):
-        return None
-    bracket = aligned_bracket(photos, sampled=True)
-    return None if bracket is None else bracket.curves[0]
+    read = partial(load_photo, long_side=_FINEST, fov=fov, noise=False, white=white)
+    return aligned_bracket([read(path) for path in paths], sampled=True)
 
 
 def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracket | None:
@@ -348,26 +348,21 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
     medians = sorted(math.log2(max(float(np.median(p.pixels[::4, ::4])), 1e-9)) for p in photos)
     if any(b - a < _LEAST_DARKER for a, b in zip(medians, medians[1:], strict=False)):
         return None
-    shape = photos[0].pixels.shape[:2]
-    first, how = photos[0], cv2.INTER_CUBIC
-    if sampled:
-        (rows, columns), how = shape, cv2.INTER_NEAREST
-        shape = (round(rows * min(1.0, _COLUMNS / columns)), min(columns, _COLUMNS))
-        views = [_resampled(first, np.eye(3), shape, how)]
-    else:
-        near, inside = _spread_clipping(first) > 0.05, np.ones(shape, np.bool_)
-        views = [_Aligned(first, first.pixels, inside, first.clipped, near, first.noise)]
+    homographies = [np.eye(3)]
     for photo in photos[1:]:
-        homography = alignment(first, photo)
-        if homography is None or (way := way_of_camera(homography, first, photo)) > _NEAR:
+        homography = alignment(photos[0], photo)
+        if homography is None or way_of_camera(homography, photos[0], photo) > _NEAR:
             return None
-        view = _resampled(photo, homography, shape, how)
-        views.append(replace(view, way=way))
-    levels = [float(np.median(view.pixels.mean(axis=2))) for view in views]
-    order = sorted(range(len(views)), key=lambda number: -levels[number])
+        homographies.append(homography)
+    views = _views(photos, homographies, sampled=sampled)
+    order = sorted(range(len(views)), key=lambda n: -np.median(views[n].pixels.mean(axis=2)))
     factors, curve = {order[0]: 1.0}, None
     for brighter, darker in zip(order, order[1:], strict=False):
-        ratio = _ratio(views[brighter], views[darker], curve)
+        pair = views[brighter], views[darker]
+        inside = pair[0].inside & pair[1].inside
+        # Not blurred: a blur carries clipped sparkles into what is not clipped.
+        pixels = pair[0].pixels[inside], pair[1].pixels[inside]
+        ratio = ratio_of_exposures(pair[0].photo, pair[1].photo, pixels, curve)
         if ratio is None or ratio.residual > _SAME_LIGHT:
             return None
         if not LEAST_STOPS < -math.log2(ratio.darker) < MOST_STOPS:
@@ -375,11 +370,31 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
         factors[darker] = factors[brighter] / ratio.darker
         curve = curve or ratio.curve
     bracket = Bracket(
-        tuple(views),
+        views,
         tuple(factors[number] for number in range(len(views))),
-        tuple(ToneCurve() if v.tones.linear else curve or ToneCurve() for v in views),
+        tuple(curve or ToneCurve() if p.tone_mapped else ToneCurve() for p in photos),
     )
     return bracket if bracket.disagreement() < _SAME_PIXELS else None
+
+
+def _views(
+    photos: Sequence[Photo], homographies: Sequence[Matrix], *, sampled: bool
+) -> tuple[_Aligned, ...]:
+    """Photographs on the pixels of the first; arguments as of aligned_bracket."""
+    first, (rows, columns) = photos[0], photos[0].pixels.shape[:2]
+    if sampled:
+        shape = round(rows * min(1.0, _COLUMNS / columns)), min(columns, _COLUMNS)
+        views = [_resampled(first, np.eye(3), shape, cv2.INTER_NEAREST)]
+    else:
+        shape, near = (rows, columns), _spread_clipping(first) > 0.05
+        inside = np.ones(shape, np.bool_)
+        views = [_Aligned(first, first.pixels, inside, first.clipped, near, first.noise)]
+    how = cv2.INTER_NEAREST if sampled else cv2.INTER_CUBIC
+    for photo, homography in zip(photos[1:], homographies[1:], strict=True):
+        way = way_of_camera(homography, first, photo)
+        view = _resampled(photo, homography, shape, how)
+        views.append(replace(view, way=way, homography=homography))
+    return tuple(views)
 
 
 def merge_bracket(photos: Sequence[Photo]) -> Photo:
@@ -409,19 +424,26 @@ def alignment(first: Photo, second: Photo) -> Matrix | None:
     (fixed, seen), (moving, _) = (_contrast(each, columns) for each in (first, second))
     if abs(len(fixed) - len(moving)) > _SAME_SHAPE * columns:
         return None
-    shift = _shifts(*(_whole(each) for each in (fixed, moving)))[0][0] * (columns / _WHOLE)
+    size = _WHOLE, 2 * (round(_WHOLE * len(fixed) / columns) // 2)
+    small = (area_averaged(each, size)[None] for each in (fixed, moving))
+    shift = _shifts(*small)[0][0] * (columns / _WHOLE)
     warp = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
-    starts = [warp, np.eye(3)]
     places = _tiles(seen)
     if len(places) < _LEAST_TILES:
         return None
-    refined = (_refined(fixed, moving, places, start) for start in starts)
-    homography, agreeing = max(refined, key=lambda result: result[1])
-    if agreeing < max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
+    for start in (warp, np.eye(3)):
+        homography, agreeing = _refined(fixed, moving, places, start)
+        if agreeing >= max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
+            break
+    else:
         return _turned(first, second)
-    units = np.diag([columns, columns, 1.0])
-    centre = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
-    return np.asarray(np.linalg.inv(centre @ units) @ homography @ centre @ units)
+    units = _units(columns)
+    return np.asarray(units @ homography @ np.linalg.inv(units))
+
+
+def _units(columns: int) -> Matrix:
+    """(3, 3) from places of pixels, 0 in the middle of the first, to units of a width."""
+    return np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, columns]]) / columns
 
 
 def _turned(first: Photo, second: Photo) -> Matrix | None:
@@ -472,7 +494,7 @@ def _shifts(fixed: Picture, moving: Picture) -> tuple[Matrix, NDArray[np.float64
     a parabola; smaller shifts are preferred, as patterns repeat.
     """
     count, height, width = fixed.shape
-    window = np.hanning(height)[:, None] * np.hanning(width)
+    window = np.float32(np.hanning(height)[:, None] * np.hanning(width))
     first, second = (np.fft.rfft2(each * window) for each in (fixed, moving))
     correlation = np.fft.irfft2(np.conj(first) * second, (height, width))
     power = np.sqrt(np.prod([np.square(each * window).sum((1, 2)) for each in (fixed, moving)], 0))
@@ -503,12 +525,6 @@ def _tiles(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
         if seen[y : y + _TILE, x : x + _TILE].mean() > 0.5
     ]
     return np.array(corners, np.int64).reshape(-1, 2)
-
-
-def _whole(contrast: Picture) -> Picture:
-    """(1, h, _WHOLE) all of a picture's contrast."""
-    rows = 2 * (round(_WHOLE * contrast.shape[0] / contrast.shape[1]) // 2)
-    return area_averaged(contrast, (_WHOLE, rows))[None]
 
 
 def way_of_camera(homography: Matrix, first: Photo, second: Photo) -> float:
@@ -546,11 +562,7 @@ def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
 def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...], how: int) -> _Aligned:
     """A photograph on the pixels of another of shape (H, W), interpolated as OpenCV names it."""
     rows, columns = shape
-    own = photo.pixels.shape[1]
-    # From pixel centres of the first, to units of widths, to those of the second.
-    here = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, columns]]) / columns
-    there = np.array([[own, 0.0, -0.5], [0.0, own, -0.5], [0.0, 0.0, 1.0]])
-    warp = there @ homography @ here
+    warp = np.linalg.inv(_units(photo.pixels.shape[1])) @ homography @ _units(columns)
 
     def seen(picture: Picture, how: int, border: int = cv2.BORDER_REPLICATE) -> Picture:
         flags = how | cv2.WARP_INVERSE_MAP
@@ -571,30 +583,3 @@ def _spread_clipping(photo: Photo) -> Picture:
     """(H, W) share of clipped pixels in the blur around each."""
     clipped = photo.clipped.astype(np.float32)
     return np.asarray(cv2.GaussianBlur(clipped, (0, 0), _SPREAD), np.float32)
-
-
-def _ratio(brighter: _Aligned, darker: _Aligned, curve: ToneCurve | None) -> ExposureRatio | None:
-    """The ratio of exposures of two photographs, by the pixels that both show.
-
-    `curve` is that of all that are not linear, if it is known.
-    """
-    inside = brighter.inside & darker.inside
-    # Not blurred: a blur carries clipped sparkles into what is not clipped.
-    values = [np.asarray(view.pixels[inside], np.float64) for view in (brighter, darker)]
-    limits = [brighter.faintest, _BRIGHTEST * min(brighter.photo.headroom, 1e30), darker.faintest]
-    tones = [view.tones for view in (brighter, darker)]
-    if curve is not None:
-        of = (0, 0, 1)
-        limits = [
-            limit if tones[k].linear else float(curve.linear(np.array(limit)))
-            for k, limit in zip(of, limits, strict=True)
-        ]
-        values = [
-            each if tone.linear else np.asarray(curve.linear(each))
-            for each, tone in zip(values, tones, strict=True)
-        ]
-        tones = [replace(tone, linear=True) for tone in tones]
-    stated = None
-    if brighter.photo.exposure is not None and darker.photo.exposure is not None:
-        stated = darker.photo.exposure / brighter.photo.exposure
-    return fit_ratio(values[0], values[1], (tones[0], tones[1]), stated, UsableTones(*limits))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from matcap.capture.bracket import find_brackets, merge_bracket, shared_curve
+from matcap.capture.bracket import find_brackets, fine_bracket, merge_bracket
 from matcap.capture.exemplar.estimate import KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import Method, Rectified, fit_photograph
@@ -36,7 +36,7 @@ from matcap.capture.settings import (
 from matcap.errors import MatcapError, UsageError
 from matcap.field.material import Latent, Material
 from matcap.flash.highlight import limit_sparkles
-from matcap.photo.left_out import leave_out
+from matcap.photo.left_out import leave_out, shrunk
 from matcap.photo.load import load_photo
 from matcap.photo.photo import SHORTEST_SIDE, Photo, ToneCurve
 
@@ -49,6 +49,7 @@ def read_photograph(
     *,
     several: bool = False,
     tone: ToneCurve | None = None,
+    fine: Photo | None = None,
 ) -> Photo:
     """Read a photograph for a capture: at its resolution, with crop and mask.
 
@@ -57,6 +58,7 @@ def read_photograph(
         settings: of the capture.
         several: whether it is one of several photographs of a sample.
         tone: of a developed picture, if known.
+        fine: the photograph, already read with all its pixels, if `tone` is known.
 
     Raises:
         UsageError: the preset is unknown; the crop exceeds the photograph; a crop or mask is given
@@ -71,7 +73,11 @@ def read_photograph(
             "one rectangle or mask cannot fit several photographs, each taken from another place",
             "leave it out: what does not belong to the sample is detected",
         )
-    photo = load_photo(path, long_side=detail, fov=settings.fov, white=settings.white, tone=tone)
+    if fine is not None:
+        photo = shrunk(fine, detail, tone or ToneCurve())
+    else:
+        fov, white = settings.fov, settings.white
+        photo = load_photo(path, long_side=detail, fov=fov, white=white, tone=tone)
     if several and photo.left_out is not None:
         raise MatcapError.at(
             path,
@@ -135,11 +141,18 @@ def read_exposures(paths: Sequence[Path], settings: CaptureSettings, *, several:
 
     Crop and mask are of the first. Arguments and exceptions as of read_photograph.
     """
-    whole = replace(settings, crop=None, mask=None)
-    tone = shared_curve(paths, fov=settings.fov) if len(paths) > 1 else None
-    photos = [read_photograph(paths[0], settings, several=several, tone=tone)]
-    photos += [read_photograph(path, whole, several=several, tone=tone) for path in paths[1:]]
-    return merge_bracket(photos) if len(photos) > 1 else photos[0]
+    if len(paths) == 1:
+        return read_photograph(paths[0], settings, several=several)
+    rest = (replace(settings, crop=None, mask=None),) * (len(paths) - 1)
+    each = zip(paths, (settings, *rest), strict=True)
+    fine = fine_bracket(paths, fov=settings.fov, white=settings.white)
+    if fine is None:
+        return merge_bracket([read_photograph(*one, several=several) for one in each])
+    photos = [
+        read_photograph(*one, several=several, tone=tone, fine=view.whole)
+        for one, tone, view in zip(each, fine.curves, fine.views, strict=True)
+    ]
+    return fine.of(photos).merged()
 
 
 def _captured(

@@ -142,7 +142,10 @@ def _brightened(coded: Coded, path: Path, kind: FileKind, pixels: Pixels) -> Cod
         elif pixels.gain_map is not None:
             gain_map = hdr_gain_map.of_heic(path, pixels)
         elif kind is not FileKind.JPEG and kind in _LOSSY and _has_map(path):
-            raise ValueError("its form in this kind of file is not supported")
+            raise ValueError(
+                f"decoders of {kind.value} do not return it; export it as a JPEG with its gain "
+                "map, or add a darker photograph from the same place"
+            )
         else:
             return coded
         gain_map = hdr_gain_map.matching(gain_map, width, height)

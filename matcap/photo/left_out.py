@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError, UsageError
 from matcap.files.pixels import read_mask
 from matcap.files.settings import Rectangle
-from matcap.photo.photo import SHORTEST_SIDE, Photo, quarter_turn
+from matcap.photo.photo import SHORTEST_SIDE, Photo, ToneCurve, quarter_turn
 
 # Area downsampling of linear pixels, strip by strip, without a full-size float copy.
 
@@ -23,6 +23,7 @@ ReadRows = Callable[[int, int], Rows]
 
 CLIPPED_SHARE = 0.25  # clipped share of its area from which on a downsampled pixel is clipped
 _STRIP_PIXELS = 1 << 20  # pixels of a strip
+_PART = 1e-3  # share of a pixel that is not the material, from which on it is left out
 
 
 def shrink(read: ReadRows, width: int, height: int, long_side: int | None) -> Rows:
@@ -68,6 +69,29 @@ def shrunk_size(width: int, height: int, long_side: int | None) -> tuple[int, in
 def area_averaged(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[np.float32]:
     """A picture (H, W) or (H, W, C) shrunk to (width, height) by means over areas."""
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def shrunk(photo: Photo, long_side: int, tone: ToneCurve) -> Photo:
+    """A photograph of which no noise is known, downsampled, its tone curve undone before."""
+    height, width = photo.clipped.shape
+    known = tone if photo.tone_mapped else ToneCurve()
+
+    def read(top: int, bottom: int) -> Rows:
+        return known.linear(photo.pixels[top:bottom]), photo.clipped[top:bottom]
+
+    pixels, clipped = shrink(read, width, height, long_side)
+    left_out = photo.left_out
+    if left_out is not None:
+        share = area_averaged(left_out.astype(np.float32), pixels.shape[1::-1])
+        left_out = np.asarray(share > _PART)
+    return replace(
+        photo,
+        pixels=pixels,
+        clipped=clipped,
+        left_out=left_out,
+        headroom=float(known.linear(np.array(photo.headroom))),
+        tone=tone if photo.tone_mapped else photo.tone,
+    )
 
 
 def cell_means(
@@ -197,7 +221,7 @@ def leave_transparent_out(photo: Photo, opacity: NDArray[np.float32], where: str
 
 def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Photo:
     """Leave out pixels whose share (H, W) of the material is below 1, besides those left out."""
-    left_out = share < 1.0 - 1e-3
+    left_out = share < 1.0 - _PART
     if not left_out.any():
         return photo
     if photo.left_out is not None:

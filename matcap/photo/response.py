@@ -19,12 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.photo.photo import Development, ToneCurve
+from matcap.photo.photo import Development, Photo, ToneCurve
 
 Values = NDArray[np.float64]
+Picture = NDArray[np.float32]
 
 _SHOULDERS = np.linspace(0.0, 0.9, 37)
 _SHOULDER_DEVIATION = 0.3  # prior standard deviation of w
+_DARKEST_CODES = 6.0  # steps of 8-bit codes, below which developed values are not compared
+_BRIGHTEST = 0.9  # of the clip level, above which values are not compared
 _TONES = 32  # values compared, of equal steps in the logarithm of the brighter picture's
 _FEWEST = 50  # pixels of a picture, and twice those left out at either end
 _AROUND = 10  # ranks to either side that are averaged
@@ -65,6 +68,44 @@ class UsableTones:
     """Limits of the brighter picture's."""
     least_of_darker: float = 0.0
     """Limit of the darker picture's, whose codes are coarse."""
+
+
+def faintest_value(photo: Photo) -> float:
+    """Value of a photograph below which it is not compared with others."""
+    if photo.radiometric or photo.floating:
+        return 1e-3
+    code = np.array(_DARKEST_CODES / (255.0 * 12.92))
+    return float((photo.tone or ToneCurve()).linear(code))
+
+
+def ratio_of_exposures(
+    brighter: Photo, darker: Photo, pixels: tuple[Picture, Picture], curve: ToneCurve | None
+) -> ExposureRatio | None:
+    """The ratio of two photographs' exposures; None with too few tones in common.
+
+    Args:
+        brighter, darker: the photographs.
+        pixels: (n, channels) their values at the same places.
+        curve: that of all that are not linear, if known.
+    """
+    pair = brighter, darker
+    known = [(curve if photo.tone_mapped else None) or ToneCurve() for photo in pair]
+    limits = (
+        known[0].linear(np.array(faintest_value(brighter))),
+        known[0].linear(np.array(_BRIGHTEST * min(brighter.headroom, 1e30))),
+        known[1].linear(np.array(faintest_value(darker))),
+    )
+    values = [
+        by.linear(np.asarray(each, np.float64)) for by, each in zip(known, pixels, strict=True)
+    ]
+    first, second = (
+        Tones(curve is not None or not photo.tone_mapped, photo.development) for photo in pair
+    )
+    stated = None
+    if brighter.exposure is not None and darker.exposure is not None:
+        stated = darker.exposure / brighter.exposure
+    usable = UsableTones(*(float(limit) for limit in limits))
+    return fit_ratio(values[0], values[1], (first, second), stated, usable)
 
 
 def fit_ratio(

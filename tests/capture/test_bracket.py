@@ -11,16 +11,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from matcap.capture import bracket
 from matcap.capture.bracket import (
     aligned_bracket,
     alignment,
     find_brackets,
+    fine_bracket,
     merge_bracket,
-    shared_curve,
     way_of_camera,
 )
+from matcap.capture.pipeline import read_exposures
+from matcap.capture.settings import CaptureSettings
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_decode, srgb_encode
+from matcap.photo.left_out import shrunk
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo, ToneCurve
 
@@ -272,15 +276,46 @@ def test_the_curve_is_measured_before_averaging_and_undone_before_it(tmp_path):
     light = scene() * np.exp(3.0 * fine - 0.3)[..., None].astype(np.float32)
     shown = [(taken(light), 1.0), (taken(light, 1 / 16, seed=2), 1 / 16)]
     paths = [saved(tmp_path / f"{k}.jpg", *each) for k, each in enumerate(shown)]
-    tone = shared_curve(paths)
-    assert tone is not None and abs(tone.shoulder - CURVE.shoulder) < 0.06
-    photo = load_photo(paths[0], long_side=WIDTH // 4, tone=tone)
+    fine = fine_bracket(paths)
+    tone = fine.curves[0]
+    assert abs(tone.shoulder - CURVE.shoulder) < 0.06
+    photo = shrunk(fine.views[0].photo, WIDTH // 4, tone)
+    again = load_photo(paths[0], long_side=WIDTH // 4, tone=tone)
+    assert np.array_equal(photo.pixels, again.pixels) and photo.headroom == again.headroom
+    assert np.array_equal(photo.clipped, again.clipped)
     dark = light.max(axis=2) < 0.5
     cells = [cv2.resize(np.where(dark, each, 0), photo.pixels.shape[1::-1],
              interpolation=cv2.INTER_AREA) for each in (light[..., 0], 1.0 * dark)]  # fmt: skip
     whole = cells[1] == 1.0
     assert np.median(photo.pixels[..., 0][whole] / cells[0][whole]) == pytest.approx(1.0, abs=0.06)
     assert not photo.tone_mapped and photo.tone == tone
+
+
+def test_exposures_are_read_and_aligned_once(tmp_path, monkeypatch):
+    """To be found, coarsely, and then for curve, alignment and merging together."""
+    counts = dict.fromkeys(("load_photo", "alignment"), 0)
+
+    def counted(name):
+        used = getattr(bracket, name)
+
+        def call(*given, **more):
+            counts[name] += 1
+            return used(*given, **more)
+
+        monkeypatch.setattr(bracket, name, call)
+
+    for name in counts:
+        counted(name)
+    paths = [
+        saved(tmp_path / "a.jpg", taken(scene()), 1.0),
+        saved(tmp_path / "b.jpg", taken(moved(scene())[0], 1 / 16, seed=2), 1 / 16),
+    ]
+    for _ in range(2):
+        (group,) = find_brackets(paths)
+    assert counts == {"load_photo": 2, "alignment": 1}
+    merged = read_exposures(group, CaptureSettings(preset="instant"), several=False)
+    assert counts == {"load_photo": 4, "alignment": 2}
+    assert merged.headroom == pytest.approx(16.0, rel=0.1) and "merged" in merged.notes[-1]
 
 
 def test_metadata_decides_before_pixels_do(tmp_path):

@@ -142,6 +142,14 @@ def test_hdr_gain_map_is_reported_not_applied(tmp_path, codes, mark):
     assert load_photo(plain).notes == ()
 
 
+@pytest.mark.parametrize("suffix", ["avif", "webp"])
+def test_a_gain_map_that_decoders_keep_is_named_with_what_helps(tmp_path, codes, suffix):
+    xmp = b"<x xmlns:hdrgm='http://ns.adobe.com/hdr-gain-map/1.0/'/>"
+    Image.fromarray(codes).save(tmp_path / f"a.{suffix}", xmp=xmp)
+    (note,) = (note for note in load_photo(tmp_path / f"a.{suffix}").notes if "gain map" in note)
+    assert "do not return it; export it as a JPEG" in note and "darker photograph" in note
+
+
 def test_second_picture_of_a_jpeg_is_left_alone(photo_of, codes):
     other = Image.fromarray(255 - codes)
     options = {"format": "MPO", "save_all": True, "append_images": [other], "quality": 100}

@@ -147,13 +147,15 @@ def estimate_exemplar(
         known: what is known of its means, so that no prior is used.
         turned: whether the photograph is a portrait.
     """
-    whole, coarse = rectified.whole, rectified.coarse
-    observed, prediction, spectrum = refined(rectified.network_input, coarse, network, clock)
+    whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
+    observed, prediction, spectrum = refined(
+        plane, rectified.coarse, network, clock, bound=not known.absolute
+    )
+    coarse = observed.coarse
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
         exemplar = transfer_detail(exemplar, whole, coarse, copies)
-        known = known or KnownMeans()
         scale = known.scale(exemplar, prediction.metal)
         exemplar = known.rougher(scaled(exemplar, scale)).rounded()
     with clock.stage("index"):
@@ -167,7 +169,7 @@ def estimate_exemplar(
         example,
         spectrum,
         float(off.abs().median()) if off.numel() else 0.0,
-        scale=scale,
+        scale=scale * coarse.specular / rectified.coarse.specular,
         level_deviation=coarse.level_deviation,
         turned=turned,
         kept=_upright(kept, turned=turned),
@@ -175,16 +177,20 @@ def estimate_exemplar(
 
 
 def refined(
-    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
+    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock, *, bound: bool = False
 ) -> tuple[Observation, NetworkPrediction, ReliefSpectrum | None]:
     """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
+
+    With `bound`, albedo is kept below white (Observation.below_white).
 
     Returns:
         The photograph with the specular tint of its metal, the fitted maps, and the energies of
         relief and albedo measured in the photograph.
     """
     with clock.stage("network"):
-        observed, prediction = predict_maps(Observation.of(plane, coarse), network)
+        observed = Observation.of(plane, coarse)
+        bounded = observed.below_white() if bound else observed
+        observed, prediction = predict_maps(bounded, network)
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
         observed, prediction = classified(

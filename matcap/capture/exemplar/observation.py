@@ -42,6 +42,8 @@ _COMMON_NOISE = 0.02
 _SPREAD_OF_LIGHT = 1.5  # texels, standard deviation of the blur of clipping
 # Radiance (1 at clipping) below which a neighbourhood is unlit: the lowest 8-bit codes, or noise.
 _UNLIT = 1e-3
+# Largest albedo, of the brightest texels of those with a smaller specular fraction.
+_WHITEST, _BRIGHTEST, _MATTE = 0.9, 0.99, 0.5
 
 
 @dataclass(frozen=True)
@@ -159,6 +161,18 @@ class Observation:
         return Observation(
             plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane, coarse.tone)
         )
+
+    def below_white(self) -> Observation:
+        """The same picture of less albedo and F0 under more light, if its white were above 1.
+
+        The fit bounds the mean of albedo; the white tiles of a chequerboard are twice that.
+        """
+        matte = (self.inputs.gloss[0] < _MATTE) & self.plane.valid
+        if self.coarse.conductor or not bool(matte.any()):
+            return self
+        over = np.quantile(self.inputs.log[:, matte].numpy(), _BRIGHTEST, axis=1)
+        factor = _WHITEST / float((np.exp(over) * self.coarse.diffuse).max())
+        return self if factor >= 1.0 else Observation.of(self.plane, self.coarse.scaled(factor))
 
     @property
     def specular_fraction(self) -> NDArray[np.float32]:

@@ -99,6 +99,24 @@ def test_a_black_and_white_weave_is_as_bright_as_photographed() -> None:
     assert float(ratio.log().abs().max()) < 0.03
 
 
+def test_white_tiles_keep_their_texture_where_the_fit_is_too_bright() -> None:
+    """Albedo of the fit is below 1, that of the white tiles is not: it would be cut there."""
+    shot = photographed(0.02, 0.1, width=256, height=192)
+    y, x = np.mgrid[0:192, 0:256]
+    white = (x // 32 + y // 32) % 2 == 0
+    tone = torch.from_numpy(np.where(white, 0.0, -2.0).astype(np.float32))
+    maps = replace(shot.maps, diffuse=shot.maps.diffuse * tone.exp())
+    linear = render_flash(maps, shot.uniform.setup, shot.points)
+    mean = tuple(maps.diffuse.mean((1, 2)).tolist())
+    coarse = replace(shot.uniform, diffuse=mean).scaled(0.7 / max(mean))
+    found = _found(plane_of(linear, torch.ones(192, 256, dtype=torch.bool)), coarse)
+    texture, true = (each.diffuse[:, white].log() for each in (map_set_of(found.exemplar), maps))
+    assert float(texture.std(1).min()) > 0.7 * float(true.std(1).min())
+    again = render_flash(map_set_of(found.exemplar), coarse.setup, shot.points)
+    ratio = again.mean((1, 2)) / linear.mean((1, 2)) / found.scale
+    assert float(ratio.log().abs().max()) < 0.05
+
+
 def test_an_untrained_network_gives_maps_within_their_ranges() -> None:
     plane, coarse, _ = _plane()
     torch.manual_seed(1)
