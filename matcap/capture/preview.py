@@ -84,14 +84,19 @@ class Panel:
         hidden = cv2.resize(self.hidden.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
         return hatched(image, hidden > 0)
 
-    def enlarged(self, width: int, height: int) -> Panel:
-        """The panel with as many pixels as another, so that both are cropped alike."""
+    def enlarged(self, by: float) -> Panel:
+        """The panel with `by` times as many pixels a side; its crop has the same middle."""
         import cv2
 
-        if self.values.shape[1] >= width:
+        if self.number or by <= 1.0:
             return self
-        shown = cv2.resize(self.values, (width, height), interpolation=cv2.INTER_CUBIC)
-        return replace(self, values=np.asarray(shown, np.float32))
+        close = self.values if self.close is None else self.close
+        wide = cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC)
+        if self.close is None:
+            return replace(self, values=np.asarray(wide, np.float32))
+        height, width = close.shape[:2]
+        top, left = (wide.shape[0] - height) // 2, (wide.shape[1] - width) // 2
+        return replace(self, close=wide[top : top + height, left : left + width])
 
     def crop(self) -> Image.Image:
         """Crop at one pixel per texel, at a quarter of the width, next to the highlight."""
@@ -255,10 +260,10 @@ def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
         rerendered = picture_of(render_rectified(maps, result.material.setup))
     photograph = _photograph(result)
     yield photograph
-    height, width = photograph.values.shape[:2]
-    yield _developed("re-rendered", result, rerendered).enlarged(width, height)
+    by = photograph.values.shape[1] / rerendered.shape[1]
+    yield _developed("re-rendered", result, rerendered).enlarged(by)
     for panel in lit_panels(maps, rerendered, result.material.setup):
-        yield panel.enlarged(width, height)
+        yield panel.enlarged(by)
 
 
 def _photograph(result: CaptureResult) -> Panel:
