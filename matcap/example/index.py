@@ -354,9 +354,9 @@ def _softened() -> NDArray[np.int32]:
     """Penalty in corrections by the penalty of a patch."""
     steep = (np.arange(_MOST + 1) - _DOUBTFUL) * _MOST // (_MOST - _DOUBTFUL)
     soft = np.minimum(np.arange(_MOST + 1), _SEAM)
-    found = np.maximum(soft, steep).astype(np.int32)
-    found[_MARK] = _MARKED
-    return found
+    softened = np.maximum(soft, steep).astype(np.int32)
+    softened[_MARK] = _MARKED
+    return softened
 
 
 _SOFTENED = _softened()

@@ -27,7 +27,7 @@ _LEVEL = 2  # level of the synthesised samples. Finer takes longer, coarser show
 _BLOCKS = 2  # samples of each variety; one where the exemplar has fewer levels
 _STEP = 4  # texels that are averaged before the correlation
 _NEAR = 64.0  # shortest shift of the correlation, texels; shorter structure fits any patch
-_LOST = 0.03  # largest RMS loss of correlation
+_LOST = 0.035  # largest RMS loss of correlation
 _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if that is more
 # Largest share of texels at seams. Textures without long structure have up to 0.0175, others
 # from 0.021 on.
