@@ -307,10 +307,8 @@ def _choose(
         blocks, mismatch = blocks[nearest], mismatch[nearest]
         shown = photograph.match(place, blocks)
         best = int((mismatch + _PHOTOGRAPH_WEIGHT * shown.share * shown.mismatch).argmin())
-        source = (int(blocks[best][0]), int(blocks[best][1]))
-        if shown.is_distinct:
-            source = place
-        else:
+        source = place if shown.is_distinct else (int(blocks[best][0]), int(blocks[best][1]))
+        if not shown.is_distinct:
             chosen[place] = source
         here, there = _block(place), _block(source)
         seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
@@ -400,8 +398,7 @@ def _around(texels: TexelMask) -> TexelMask:
 
 def _donors(visible: TexelMask) -> BlockPlaces:
     """(N, 2) corners of blocks with high confidence nearly everywhere."""
-    rows, columns = visible.shape
-    if min(rows, columns) <= _BLOCK:
+    if min(visible.shape) <= _BLOCK:
         return np.zeros((0, 2), np.int64)
     sums = cv2.integral(visible.astype(np.uint8)).astype(np.int64)
     n = _BLOCK
@@ -411,8 +408,8 @@ def _donors(visible: TexelMask) -> BlockPlaces:
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Corners of overlapping blocks that cover a plane (H, W)."""
-    step = _BLOCK - _OVERLAP
-    rows, columns = ([*range(0, side - _BLOCK, step), side - _BLOCK] for side in shape)
+    ends = [side - _BLOCK for side in shape]
+    rows, columns = ([*range(0, end, _BLOCK - _OVERLAP), end] for end in ends)
     return [(row, column) for row in rows for column in columns]
 
 
@@ -594,8 +591,7 @@ def _z_scores(
 
 def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
     """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
-    offsets = np.arange(-outer, outer + 1)
-    radius = np.hypot(offsets, offsets[:, None])
+    radius = np.hypot(*np.ogrid[-outer : outer + 1, -outer : outer + 1])
     ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
     sums, counts = (
         cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
