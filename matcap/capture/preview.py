@@ -91,9 +91,11 @@ class Panel:
         if self.number or by <= 1.0:
             return self
         close = self.values if self.close is None else self.close
-        wide = cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC)
+        wide: NDArray[np.float32] = np.asarray(
+            cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), np.float32
+        )
         if self.close is None:
-            return replace(self, values=np.asarray(wide, np.float32))
+            return replace(self, values=wide)
         height, width = close.shape[:2]
         top, left = (wide.shape[0] - height) // 2, (wide.shape[1] - width) // 2
         return replace(self, close=wide[top : top + height, left : left + width])

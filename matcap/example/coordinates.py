@@ -21,8 +21,7 @@ from matcap.field.turns import Integers
 
 Places = NDArray[np.int16]  # (rows, columns, 2): x, y of the exemplar
 
-# As in kernel.c. A phase error of a tenth of a turn costs as much as a visible seam. The mismatch
-# of k-coherence candidates counts twice, so that patches stay large.
+# As in kernel.c. A phase error of a tenth of a turn costs as much as a visible seam.
 SUBPASSES = ((0, 0), (1, 1), (0, 1), (1, 0))  # (row, column) parity of the places each one corrects
 REACH = 2  # radius in places of the neighbourhood that a sub-pass reads
 
@@ -36,8 +35,8 @@ class _Level(ctypes.Structure):
         *(
             (name, ctypes.c_int32)
             for name in (
-                "columns", "similar_columns", "cost_columns", "bits", "similar_bits", "spacing",
-                "left", "top", "right", "bottom",
+                "columns", "similar_columns", "cost_columns", "bits", "similar_bits",
+                "similar_shift", "spacing", "left", "top", "right", "bottom",
             )
         ),
     )  # fmt: skip
@@ -81,7 +80,7 @@ def correct(
         level.appearance.ctypes.data, level.placement_cost.ctypes.data, level.similar.ctypes.data,
         None if level.phases is None else level.phases.ctypes.data,
         level.appearance.shape[1], level.similar.shape[1], level.placement_cost.shape[1],
-        level.bits, level.similar_bits, level.spacing,
+        level.bits, level.similar_bits, level.similar_shift, level.spacing,
         frame.left, frame.top, frame.right, frame.bottom,
     )  # fmt: skip
     rows, columns = places.shape[:2]

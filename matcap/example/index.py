@@ -66,7 +66,7 @@ _DOUBTED = 0.35  # confidence below that quantile at which the penalty is larges
 # places to choose from.
 _FREE = 0.5
 
-_MOST = 255
+_MOST, _MARK = 255, 254  # penalties of what is not known, and of what stands out
 _KNOWN = 30  # penalty below which a place is compared with others
 
 
@@ -82,7 +82,7 @@ class Index:
     """(H, W, 2) x, y in texels of each place's k-coherence candidate, of each level."""
     penalty: NDArray[np.uint8]
     """(H, W) of squares of 4 x 4 texels, square root of the placement cost in units of
-    2^PENALTY_BITS (index.py); 255 excludes a place."""
+    2^PENALTY_BITS (index.py); 255 excludes a place, 254 a mark."""
     lattice: PhasedLattice | None
     """Lattice of a regular texture, or None."""
     left_out: float
@@ -193,7 +193,7 @@ def build_index(
     if one_light:
         penalty = np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
     outstanding = _outstanding(candidates, penalty < _KNOWN)
-    penalty = np.maximum(penalty, _MOST * outstanding)
+    penalty = np.maximum(penalty, _MARK * outstanding)
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
         for level, one in enumerate(candidates)
@@ -304,7 +304,7 @@ def _part(stated: list[int], width: int, height: int) -> Frame:
 
 
 def _rule(stated: int) -> int:
-    if stated not in (1, RULE):
+    if stated not in range(1, RULE + 1):
         raise ValueError(f"patches placed by rule {stated}")
     return int(stated)
 
@@ -343,7 +343,23 @@ _ORDERED = 1  # first level at which phase errors have a cost
 # Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
 # 14, as much as a common seam.
 PENALTY_BITS = 11
+# Penalties in corrections of patches that are fitted, for the sake of long structure: at the full
+# cost corrections take the patches apart, and show the few places without a penalty over and over.
+# Up to _DOUBTFUL a penalty costs less than a seam.
+_SEAM, _DOUBTFUL, _MARKED = 20, 60, 40
 _SPARED = 16  # at most 1 / 16 of the frame is left out at either end, so that opposite borders fit
+
+
+def _softened() -> NDArray[np.int32]:
+    """Penalty in corrections by the penalty of a patch."""
+    steep = (np.arange(_MOST + 1) - _DOUBTFUL) * _MOST // (_MOST - _DOUBTFUL)
+    soft = np.minimum(np.arange(_MOST + 1), _SEAM)
+    softened = np.maximum(soft, steep).astype(np.int32)
+    softened[_MARK] = _MARKED
+    return softened
+
+
+_SOFTENED = _softened()
 
 
 @dataclass(frozen=True)
@@ -360,6 +376,9 @@ class Level:
     """(H, W, DIMENSIONS) appearance vectors of the exemplar's places."""
     similar_bits: int
     """log2 of the candidate grid's step in texels."""
+    similar_shift: int
+    """The mismatch of candidates counts 2^similar_shift times that of continuations, so that
+    patches stay large."""
     similar: NDArray[np.int16]
     """(H, W, 2) k-coherence candidates, x, y in texels."""
     placement_cost: NDArray[np.int32]
@@ -381,11 +400,19 @@ class Lookup:
     """The part of its frame of which opposite borders adjoin."""
     placement: Placement
     """Costs of the centres of its patches."""
+    cost: NDArray[np.int32]
+    """(H, W) of squares of 2^COST_BITS texels: what a patch that shows them costs."""
 
     def sized(self, sizes: PatchSizes) -> Lookup:
         """The tables of patches of other sizes."""
-        placement = _placement(self.levels[-1], self.lattice, sizes, self.joined, self.rule)
+        placement = _placement(self.cost, self.lattice, sizes, self.joined, self.rule)
         return replace(self, sizes=sizes, placement=placement)
+
+    def of_rule_2(self) -> Lookup:
+        """The tables by rule 2 of placement, or 1 if they are by that."""
+        levels = (replace(one, placement_cost=self.cost, similar_shift=1) for one in self.levels)
+        placement = replace(self.placement, rule=min(self.rule, 2))
+        return replace(self, levels=tuple(levels), placement=placement)
 
     @property
     def rule(self) -> int:
@@ -394,14 +421,18 @@ class Lookup:
 
 
 def _placement(
-    coarsest: Level, lattice: PhasedLattice | None, sizes: PatchSizes, joined: Frame, rule: int
+    cost: NDArray[np.int32],
+    lattice: PhasedLattice | None,
+    sizes: PatchSizes,
+    joined: Frame,
+    rule: int,
 ) -> Placement:
     sides = sizes.width, sizes.height
     if lattice is not None:
         wide, high = lattice.patch_extent(sizes.cells)
         sides = round(wide), round(high)
     loose = sizes.loose or lattice is not None
-    return Placement.of(coarsest.placement_cost, rule, sides, None if loose else joined)
+    return Placement.of(cost, rule, sides, None if loose else joined)
 
 
 def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
@@ -417,8 +448,11 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     grids = grids_of(features, len(index.bases))
     with ThreadPoolExecutor() as pool:
         appearances = list(pool.map(project, grids, index.bases))
-    placement_cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
-    lattice = kept_lattice(index, variety)
+    cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
+    lattice, coarsest = kept_lattice(index, variety), len(appearances) - 1
+    sizes = PatchSizes.of(frame_of(coarsest, part), 1 << coarsest, lattice, variety)
+    whole = index.rule > 2 and not sizes.loose
+    corrected = np.square(_SOFTENED[index.penalty]) << PENALTY_BITS if whole else cost
     levels = tuple(
         Level(
             spacing=1 << level,
@@ -426,16 +460,16 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
             bits=grid_bits(level),
             appearance=appearance,
             similar_bits=similar_bits(level),
+            similar_shift=2 if whole else 1,
             similar=similar,
-            placement_cost=placement_cost,
+            placement_cost=corrected,
             phases=_phases(lattice, level, appearance),
         )
         for level, (appearance, similar) in enumerate(zip(appearances, index.similar, strict=True))
     )
-    sizes = PatchSizes.of(levels[-1].frame, levels[-1].spacing, lattice, variety)
     joined = _joined_frame(levels[-1])
-    placement = _placement(levels[-1], lattice, sizes, joined, index.rule)
-    return Lookup(levels, lattice, sizes, joined, placement)
+    placement = _placement(cost, lattice, sizes, joined, index.rule)
+    return Lookup(levels, lattice, sizes, joined, placement, cost)
 
 
 def kept_lattice(index: Index, variety: float) -> PhasedLattice | None:

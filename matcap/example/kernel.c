@@ -51,7 +51,7 @@ typedef struct {
 } Place;
 
 /* Version of results and arguments, as in library.py: a library of another version is not used. */
-enum { FORM = 3 };
+enum { FORM = 4 };
 
 int32_t matcap_form(void) { return FORM; }
 
@@ -65,7 +65,7 @@ typedef struct {
     const Place *similar;      /* similar_rows x similar_columns */
     const Phase *phases;       /* rows x columns, or NULL */
     int32_t columns, similar_columns, cost_columns;
-    int32_t bits, similar_bits;
+    int32_t bits, similar_bits, similar_shift;
     int32_t spacing;
     int32_t left, top, right, bottom;
 } Level;
@@ -109,14 +109,15 @@ static int32_t squared_difference(const int16_t *found, const int16_t *wanted) {
 #endif
 }
 
-/* Cost of a candidate place; stops early once it is at least `most`. */
+/* Cost of a candidate place, its mismatch times 2^shift; stops early once it is at least `most`,
+   which is below 2^30 where the shift is 2: no sum overflows. */
 static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *wanted,
-                       const Phase *ordered, int similar, int32_t most) {
+                       const Phase *ordered, int32_t shift, int32_t most) {
     int32_t cost = 0;
     for (int k = 0; k < DIAGONALS; k++) {
         const int16_t *found =
             appearance_at(l, x + DIAGONAL[k][1] * l->spacing, y + DIAGONAL[k][0] * l->spacing);
-        cost += squared_difference(found, wanted + k * DIMENSIONS) << similar;
+        cost += squared_difference(found, wanted + k * DIMENSIONS) << shift;
         if (cost >= most) return cost;
     }
     if (l->phases) {
@@ -184,8 +185,8 @@ static Place corrected(const Level *l, const Place *here, ptrdiff_t columns,
     Place best = near[0];
     int32_t best_cost = INT32_MAX;
     for (int k = 0; k < count; k++) {
-        const int32_t cost =
-            cost_of(l, tried[k].x, tried[k].y, wanted, ordered, k >= continued, best_cost);
+        const int32_t shift = k >= continued ? l->similar_shift : 0;
+        const int32_t cost = cost_of(l, tried[k].x, tried[k].y, wanted, ordered, shift, best_cost);
         if (cost < best_cost) {
             best_cost = cost;
             best = tried[k];

@@ -60,7 +60,7 @@ def draw(hashes: Hashes, index: int, count: int) -> Integers:
 
 # Loads the compiled loops (kernel.c).
 
-_FORM = 3  # version of kernel.c's interface
+_FORM = 4  # version of kernel.c's interface
 
 
 @cache

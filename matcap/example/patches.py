@@ -26,6 +26,8 @@ from matcap.field.turns import Integers
 
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _ALONG = 32  # most places along a border at which patches are compared
+_SIDES = ((-1, 0), (1, 0), (0, -1), (0, 1))  # columns and rows to a patch's neighbours
+_CORNERS = ((-1, -1), (1, -1), (-1, 1), (1, 1))
 
 
 @dataclass(frozen=True)
@@ -82,18 +84,16 @@ def lay_patches(
         if not (some_rows.size and some_columns.size):
             return
         at = np.ix_(some_rows, some_columns)
+        odd = int(columns[some_columns[0]]) % 2, int(rows[some_rows[0]]) % 2
         neighbours = []
-        for along_x, step in ((True, -1), (True, 1), (False, -1), (False, 1)):
-            numbers, axis, chosen = (
-                (columns, across, some_columns) if along_x else (rows, down, some_rows)
-            )
-            if not int(numbers[chosen[0]]) % 2:
+        for step in _SIDES if placement.rule < 3 else _SIDES + _CORNERS:
+            if any(abs(by) > is_odd for by, is_odd in zip(step, odd, strict=True)):
                 continue  # even along this axis: not fitted along it
-            wanted = numbers[chosen] + step
-            wanted = wanted if axis.count is None else wanted % axis.count
-            other = np.searchsorted(numbers, wanted)
-            there = np.ix_(some_rows, other) if along_x else np.ix_(other, some_columns)
-            neighbours.append(_Neighbour(along_x, step, x[there], y[there]))
+            there = np.ix_(
+                _moved(rows, some_rows, down, step[1]),
+                _moved(columns, some_columns, across, step[0]),
+            )
+            neighbours.append(_Neighbour(step, x[there], y[there]))
         x[at], y[at] = _fitting(level, placement, hashes[at], frame, neighbours, sides)
 
     fit(even_rows, odd_columns)
@@ -102,6 +102,12 @@ def lay_patches(
     chosen = np.ix_(np.searchsorted(rows, down.number), np.searchsorted(columns, across.number))
     x, y = x[chosen] + across.offset, y[chosen] + down.offset[:, None]
     return _within(x, frame.left, frame.right), _within(y, frame.top, frame.bottom)
+
+
+def _moved(numbers: Integers, chosen: Integers, axis: Axis, by: int) -> Integers:
+    """Indices of the patches a step beyond the chosen ones."""
+    wanted = numbers[chosen] + by
+    return np.searchsorted(numbers, wanted if axis.count is None else wanted % axis.count)
 
 
 def _within(at: Integers, first: int, last: int) -> Integers:
@@ -120,17 +126,11 @@ def inset(frame: Frame, by_x: int, by_y: int) -> Frame:
 class _Neighbour:
     """Neighbouring patches on one side."""
 
-    along_x: bool
-    """Left or right of the patches, else above or below."""
-    step: int
-    """-1 left or above, 1 right or below."""
+    step: tuple[int, int]
+    """Columns and rows of patches to them, each -1, 0 or 1."""
     x: Integers
     """Places at their centres."""
     y: Integers
-
-    def in_field(self, sides: tuple[int, int]) -> tuple[int, int]:
-        """x, y from their centres to those of the patches, of some width and height."""
-        return (-self.step * sides[0], 0) if self.along_x else (0, -self.step * sides[1])
 
 
 def _fitting(
@@ -143,18 +143,18 @@ def _fitting(
 ) -> tuple[Integers, Integers]:
     """For every hash, the random place of least placement cost, border mismatch and reuse."""
     wrap = frame.right - frame.left + 1, frame.bottom - frame.top + 1
-    best_x, best_y = drawn(hashes, 0, frame)
-    best = np.full(hashes.shape, np.iinfo(np.int64).max)
-    for attempt in range(placement.fitted):
-        x, y = drawn(hashes, attempt, frame)
-        cost = placement.at(x, y).astype(np.int64)
-        for other in neighbours:
+    tried = [drawn(hashes, attempt, frame) for attempt in range(placement.fitted)]
+    x, y = (np.stack(each) for each in zip(*tried, strict=True))
+    cost = placement.at(x, y).astype(np.int64)
+    for other in neighbours:
+        if 0 in other.step:
             cost += _border_mismatch(level, frame, (x, y), other, *sides)
-            if placement.rule > 1:
-                cost += reuse_cost((x - other.x, y - other.y), other.in_field(sides), sides, wrap)
-        better = cost < best
-        best_x, best_y = np.where(better, x, best_x), np.where(better, y, best_y)
-        best = np.where(better, cost, best)
+        if placement.near:
+            in_field = -other.step[0] * sides[0], -other.step[1] * sides[1]
+            shift = x - other.x, y - other.y
+            cost += reuse_cost(shift, in_field, sides, placement.near, wrap)
+    best = cost.argmin(axis=0)[None]
+    best_x, best_y = (np.take_along_axis(each, best, axis=0)[0] for each in (x, y))
     return best_x, best_y
 
 
@@ -167,13 +167,14 @@ def _border_mismatch(
     height: int,
 ) -> Integers:
     """32 times the mean squared difference of both sides' appearance along the common border."""
-    long, short = (height, width) if other.along_x else (width, height)
+    along_x = other.step[1] == 0
+    long, short = (height, width) if along_x else (width, height)
     step = max(level.spacing, long // _ALONG)
     along = np.arange(-(long // 2), long - long // 2, step)
     zero = np.zeros_like(along)
-    edge = zero + other.step * (short // 2)
-    dx, dy = (edge, along) if other.along_x else (along, edge)
-    back_x, back_y = (-edge, along) if other.along_x else (along, -edge)
+    edge = zero + sum(other.step) * (short // 2)
+    dx, dy = (edge, along) if along_x else (along, edge)
+    back_x, back_y = (-edge, along) if along_x else (along, -edge)
 
     def appearance_at(x: Integers, y: Integers) -> NDArray[np.int32]:
         x = _within(x, frame.left, frame.right) >> level.bits

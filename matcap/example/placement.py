@@ -16,11 +16,13 @@ from matcap.example.library import Hashes, draw, hash_places
 from matcap.field.turns import Integers
 
 # Placement of patches; docs/notes/field.md.
-RULE = 2  # of new files; those without a rule have 1: the cost of centres, and no cost of reuse
-_DRAWS = {1: 4, 2: 16}  # random places of which the one of least cost is taken
-_FITTED = {1: 24, 2: 48}  # likewise of patches that are fitted to their neighbours
+# Of new files. Without a rule it is 1: the cost of centres, and no cost of reuse. By 2, patches do
+# not avoid what those at their corners show, and corrections avoid places at the full cost.
+RULE = 3
+_DRAWS = {1: 4, 2: 16, 3: 16}  # random places of which the one of least cost is taken
+_FITTED = {1: 24, 2: 48, 3: 128}  # likewise of patches that are fitted to their neighbours
 _REUSED = 1 << 24  # cost of a patch that a neighbour at no distance shows as well: four large seams
-_NEAR = 512  # texels from which on content may recur at no cost
+_NEAR = {2: 512, 3: 640}  # texels from which on content may recur at no cost
 _COLOURS, _REACH = 3, 2  # patches at a distance of _REACH, in numbers, are of other colours
 
 
@@ -31,7 +33,7 @@ class Placement:
     cost: NDArray[np.integer]
     """(H, W) of squares of 2^COST_BITS texels."""
     rule: int
-    """Its version, 1 or RULE."""
+    """Its version, 1 to RULE."""
 
     @staticmethod
     def of(
@@ -41,7 +43,7 @@ class Placement:
 
         Args:
             cost: (H, W) placement cost of squares of texels.
-            rule: 1 or RULE.
+            rule: 1 to RULE.
             sides: width and height of a patch, texels.
             joined: the frame of which opposite borders adjoin, if patches continue across them.
         """
@@ -61,6 +63,11 @@ class Placement:
     def fitted(self) -> int:
         """Number of random places that are fitted to neighbours."""
         return _FITTED[self.rule]
+
+    @property
+    def near(self) -> int:
+        """Texels from which on content may recur at no cost; 0 if it may anywhere."""
+        return _NEAR.get(self.rule, 0)
 
     def at(self, x: Integers, y: Integers) -> NDArray[np.integer]:
         """Costs of centres x, y."""
@@ -106,14 +113,16 @@ def reuse_cost(
     shift: tuple[Integers, Integers],
     in_field: tuple[int, int],
     sides: tuple[int, int],
+    near: int,
     wrap: tuple[int, int] | None = None,
 ) -> Integers:
-    """Cost of what two patches both show: _REUSED * area * (1 - distance / _NEAR), by its parts.
+    """Cost of what two patches both show: _REUSED * area * (1 - distance / near), by its parts.
 
     Args:
         shift: x, y of the centre of one less that of the other, in the exemplar, texels.
         in_field: the same in the field. With an equal shift one continues the other, at no cost.
         sides: width and height of a patch.
+        near: see Placement.near.
         wrap: width and height of the exemplar, if patches continue across its borders.
     """
     turns = (0,) if wrap is None else (-1, 0, 1)
@@ -126,8 +135,8 @@ def reuse_cost(
             x = shift[0] + turn_x * wide
             area = np.maximum(sides[0] - np.abs(x), 0) * shown_y
             distance = np.maximum(np.abs(in_field[0] - x), np.abs(in_field[1] - y))
-            near = np.maximum(_NEAR - distance, 0) * (distance > 0)
-            total += area * near * (_REUSED // _NEAR) // (sides[0] * sides[1])
+            within = np.maximum(near - distance, 0) * (distance > 0)
+            total += area * within * (_REUSED // near) // (sides[0] * sides[1])
     return total
 
 
@@ -220,7 +229,7 @@ def _choose(
             at = np.ix_(np.searchsorted(rows, others_y), np.searchsorted(columns, others_x))
             shift = x - chosen[0][at], y - chosen[1][at]
             in_field = -dx * side, -dy * side
-            cost += earlier * reuse_cost(shift, in_field, (side, side))
+            cost += earlier * reuse_cost(shift, in_field, (side, side), placement.near)
     best = cost.argmin(axis=0)[None]
     for into, each in zip(chosen, (x, y), strict=True):
         into[here] = np.take_along_axis(each, best, axis=0)[0]

@@ -1,8 +1,8 @@
 """Choice of the variety (patch size): the highest one that keeps long structure.
 
-Samples of the field are synthesised at several varieties. Two measures are compared with limits:
-the loss of the exemplar's autocorrelation at long shifts, and the share of texels at seams. Where
-none is within both, the least loss counts.
+Samples of the field are synthesised at several varieties, by rule 2 of placement, for which the
+limits were found. Two measures are compared with limits: the loss of the exemplar's autocorrelation
+at long shifts, and the share of texels at seams. Where none is within both, the least loss counts.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:
     level = min(_LEVEL, len(index.bases) - 1)
     features = features_of(planes_of(coarse), index.scale)
     planes = _detrended(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
-    lookup, spacing = example.lookup, 1 << level
+    lookup, spacing = example.lookup.of_rule_2(), 1 << level
     bits = grid_bits(level)
     own = _thinned(planes[:, :: spacing >> bits, :: spacing >> bits], spacing)
     true, shifts = _correlation(own)

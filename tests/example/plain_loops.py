@@ -22,7 +22,6 @@ from matcap.example.lattice import Phases
 DIAGONALS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 _AROUND = ((0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 PHASE_SHIFT = 2
-SIMILAR_TIMES = 2
 _NEVER = np.int32(2**31 - 1)
 _ROWS = 32  # projected at a time: they stay in the cache
 
@@ -137,12 +136,12 @@ def _cost(
 ) -> NDArray[np.int32]:
     inside = _inside(level, places)
     safe = np.where(inside[..., None], places, [level.frame.left, level.frame.top])
-    cost = np.zeros(places.shape[:2], np.int32)
+    cost = np.zeros(places.shape[:2], np.int64)
     for (y, x), target in zip(DIAGONALS, wanted, strict=True):
         step = np.array([x * level.spacing, y * level.spacing], np.int32)
-        cost += np.square(3 * _looked_up(level, safe + step) - target).sum(-1, dtype=np.int32)
+        cost += np.square(3 * _looked_up(level, safe + step) - target).sum(-1, dtype=np.int64)
     if similar:
-        cost *= SIMILAR_TIMES
+        cost <<= level.similar_shift
     at = safe[..., 1] >> level.bits, safe[..., 0] >> level.bits
     cost += level.placement_cost[safe[..., 1] >> COST_BITS, safe[..., 0] >> COST_BITS]
     if ordered is not None and level.phases is not None:

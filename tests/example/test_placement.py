@@ -10,6 +10,7 @@ from exemplars import an_example, exemplar
 
 from matcap.example.candidates import Frame, planes_of
 from matcap.example.example import Example
+from matcap.example.index import PENALTY_BITS, prepare
 from matcap.example.placement import (
     PatchNumbers,
     Placement,
@@ -129,7 +130,7 @@ def test_patches_near_each_other_show_different_places():
     frame, side = Frame(64, 64, 900, 700), 128
     cost = np.zeros((200, 250), np.int32)
     numbers = PatchNumbers(np.arange(12), None, side)
-    x, y = spread_patches(Placement(cost, 2), 5, 4, frame, (numbers, numbers))
+    x, y = spread_patches(Placement(cost, 3), 5, 4, frame, (numbers, numbers))
     random = np.random.default_rng(1)
     other = (
         random.integers(frame.left, frame.right + 1, x.shape),
@@ -142,7 +143,7 @@ def test_patches_near_each_other_show_different_places():
 def test_a_patch_is_the_same_whatever_else_is_laid(count):
     frame, side = Frame(64, 64, 900, 700), 128
     cost = np.random.default_rng(2).integers(0, 1 << 20, (200, 250)).astype(np.int32)
-    placement = Placement(cost, 2)
+    placement = Placement(cost, 3)
 
     def laid(columns, rows):
         axes = [PatchNumbers(np.array(n), count, side) for n in (columns, rows)]
@@ -157,7 +158,7 @@ def test_a_patch_is_the_same_whatever_else_is_laid(count):
 def test_reuse_costs_by_area_and_nearness_and_a_continuation_nothing():
     def cost(x, y, side, *wrap):
         shift = np.array([x]), np.array([y])
-        return int(reuse_cost(shift, (side, 0), (side, side), *wrap)[0])
+        return int(reuse_cost(shift, (side, 0), (side, side), 640, *wrap)[0])
 
     assert cost(0, 0, 100) > cost(50, 0, 100) > cost(0, 100, 100) == 0
     assert cost(100, 0, 100) == 0
@@ -177,15 +178,44 @@ def test_means_of_costs_are_those_of_what_a_patch_shows():
     assert (Placement.of(cost, 1, (32, 16), None).cost == cost).all()
 
 
+def test_marks_and_trends_cost_corrections_less_than_placement():
+    made = Example.of(even())
+    penalty = made.index.penalty.copy()
+    penalty[:4, :6] = (0, 14, 60, 220, 254, 255)
+    index = replace(made.index, penalty=penalty)
+    lookup = prepare(made.exemplar, index, 0.5)
+    assert (lookup.cost >> PENALTY_BITS)[0, :6].tolist() == [p * p for p in penalty[0, :6].tolist()]
+    corrected = [lookup.levels[-1].placement_cost[0, k] >> PENALTY_BITS for k in range(6)]
+    assert corrected == [0, 14**2, 20**2, 209**2, 40**2, 255**2]
+    earlier = lookup.of_rule_2(), prepare(made.exemplar, replace(index, rule=2), 0.5)
+    assert [one.rule for one in earlier] == [2, 2]
+    for one in (*earlier, prepare(made.exemplar, index)):  # small patches have nothing to keep
+        assert all((level.placement_cost == lookup.cost).all() for level in one.levels)
+        assert {level.similar_shift for level in one.levels} == {1}
+
+
+def test_corrections_do_not_collapse_onto_the_places_of_least_penalty():
+    # Three quarters have the largest penalty of a trend.
+    made = Example.of(even())
+    penalty = np.where(np.indices(made.index.penalty.shape)[1] < 32, 0, 60).astype(np.uint8)
+    shown = []
+    for rule in (2, 3):
+        index = replace(made.index, penalty=penalty, rule=rule)
+        example = replace(made, index=index, variety=0.25)
+        places = example.places(1, Rectangle(0, 0, *SIDES), None) // 8
+        shown.append(len(np.unique(places.reshape(-1, 2), axis=0)))
+    assert shown[1] > 2 * shown[0]
+
+
 def test_a_file_without_a_placement_rule_has_rule_1():
     example = an_example()
     tensors, about = example.stored()
-    assert about["index"]["placement"] == example.index.rule == 2
+    assert about["index"]["placement"] == example.index.rule == 3
     about = json.loads(json.dumps(about))
     del about["index"]["placement"]
     old = Example.read(about, tensors.__getitem__)
     assert old.lookup.rule == old.index.rule == 1
     assert "placement" not in old.stored()[1]["index"]
-    about["index"]["placement"] = 3
-    with pytest.raises(ValueError, match="rule 3"):
+    about["index"]["placement"] = 4
+    with pytest.raises(ValueError, match="rule 4"):
         Example.read(about, tensors.__getitem__)

@@ -26,9 +26,9 @@ from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
 from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
+from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
-from matcap.photo.left_out import area_averaged
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place
@@ -60,16 +60,6 @@ _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overl
 _PLAIN = 0.5  # variance to which that of both sides of an overlap is added
 _SEAM_REACH = _BLOCK / 2.0  # texels over which the two sides of a seam converge
 _TOLERANCE = 1e-3  # norm of the residual over that at the start, at which the iterations end
-
-# Detection of the highlight in albedo.
-_CELLS = 128  # along the long side, over which log albedo is averaged; finer detail is texture
-_WIDTH = 2  # of a ring, cells
-_WIDEST = 20  # radius of the largest ring, cells; wider discs are shading, which `flatten` removes
-_MISSED = 2  # rings in a row that do not stand out, at which the disc ends
-_AROUND = 3 * _WIDTH  # width of the ring around the largest, cells
-_INSIDE = 0.9  # least share of a ring inside the picture, at other centres
-_NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, cells
-_OUTLIER = 4.0  # deviations from the mean over other centres at which a ring stands out
 
 Floats = NDArray[np.float32]
 TexelMask = NDArray[np.bool_]
@@ -311,10 +301,8 @@ def _choose(
         blocks, mismatch = blocks[nearest], mismatch[nearest]
         shown = photograph.match(place, blocks)
         best = int((mismatch + _PHOTOGRAPH_WEIGHT * shown.share * shown.mismatch).argmin())
-        source = (int(blocks[best][0]), int(blocks[best][1]))
-        if shown.is_distinct:
-            source = place
-        else:
+        source = place if shown.is_distinct else (int(blocks[best][0]), int(blocks[best][1]))
+        if not shown.is_distinct:
             chosen[place] = source
         here, there = _block(place), _block(source)
         seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
@@ -405,9 +393,9 @@ def _around(texels: TexelMask) -> TexelMask:
 def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
     """(H, W) bool: visible texels whose albedo is like hardly any other's."""
     log = np.stack([cv2.GaussianBlur(np.log(plane.clip(1e-3)), (0, 0), 1.0) for plane in albedo])
-    away = np.abs(log - np.median(log[:, visible], axis=1)[:, None, None]).max(axis=0)
-    usual, most = np.quantile(away[visible], [0.5, 1.0 - _MARKED])
-    return np.asarray(visible & (away > max(_OUTSTANDING * usual, most)))
+    deviation = np.abs(log - np.median(log[:, visible], axis=1)[:, None, None]).max(axis=0)
+    usual, most = np.quantile(deviation[visible], [0.5, 1.0 - _MARKED])
+    return np.asarray(visible & (deviation > max(_OUTSTANDING * usual, most)))
 
 
 def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:
@@ -432,8 +420,8 @@ def _counts(texels: TexelMask) -> NDArray[np.int64]:
 
 def _grid(shape: tuple[int, ...]) -> list[tuple[int, int]]:
     """Corners of overlapping blocks that cover a plane (H, W)."""
-    step = _BLOCK - _OVERLAP
-    rows, columns = ([*range(0, side - _BLOCK, step), side - _BLOCK] for side in shape)
+    ends = [side - _BLOCK for side in shape]
+    rows, columns = ([*range(0, end, _BLOCK - _OVERLAP), end] for end in ends)
     return [(row, column) for row in rows for column in columns]
 
 
@@ -545,80 +533,3 @@ def _at(maps: Floats, places: BlockPlaces, free: TexelMask) -> tuple[Floats, Flo
     rows, columns = (np.clip(p, 0, side - 1) for p, side in zip(places, free.shape, strict=True))
     kept = (rows == places[0]) & (columns == places[1]) & ~free[rows, columns]
     return maps[:, rows, columns], kept.astype(np.float32)
-
-
-def remaining_highlight(albedo: Floats, known: TexelMask, distance: Floats) -> TexelMask:
-    """(H, W) bool: texels around the mirror point whose albedo still has the highlight.
-
-    What the fitted lobe misses of a highlight is put into albedo: a white spot, or a ring. A
-    material does not know where the flash was, so the mean of log albedo over a ring around the
-    mirror point is compared with the means over equal rings around other centres. The result is the
-    disc up to the last ring that stands out, before two that do not: rings that stand out only
-    farther away are shading. A narrow core may lie off the fitted mirror point, or be long: small
-    discs near it that stand out more than any elsewhere are added.
-
-    Args:
-        albedo: (C, H, W) diffuse albedo, in (0, 1].
-        known: (H, W) bool, texels of the photograph, clipped ones included.
-        distance: (H, W) distance from the mirror point, texels.
-    """
-    step = max(1, max(known.shape) // _CELLS)
-    size = (known.shape[1] // step, known.shape[0] // step)
-    log = np.log(np.maximum(albedo, 1e-3)).mean(0) * known
-    total, share, distances = (
-        area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
-    )
-    surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
-    rings = [_z_scores(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _WIDTH)]
-    centre = np.unravel_index(int(distances.argmin()), distances.shape)
-    radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
-    discs = np.nan_to_num(rings[0])
-    spots = (distances <= _NEAR) & (discs > discs[distances > _WIDEST].max(initial=_OUTLIER))
-    grown = cv2.dilate(spots.astype(np.uint8), np.ones((2 * _WIDTH + 1,) * 2, np.uint8))
-    texels = cv2.resize(grown, known.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
-    return np.asarray(texels | ((distance < (radius + 1) * step) & (radius > 0)))
-
-
-def _radius(scores: list[float]) -> int:
-    """Outer radius in cells of the last ring that stands out, before two that do not; or 0."""
-    radius = missed = 0
-    for number, contrast in enumerate(scores):
-        if contrast > _OUTLIER:
-            radius, missed = (number + 1) * _WIDTH, 0
-        elif np.isfinite(contrast):
-            missed += 1
-            if missed == _MISSED:
-                break
-    return radius
-
-
-def _z_scores(
-    total: Floats, share: Floats, surroundings: Floats, distances: Floats, inner: int
-) -> Floats:
-    """(h, w) how far the contrast of the ring around each cell is from its mean over those far from
-    the mirror point, in their standard deviations; NaN where it is unknown.
-
-    Args:
-        total: (h, w) sums of log albedo over cells.
-        share: (h, w) known share of the cells.
-        surroundings: (h, w) mean over the ring around the largest disc, NaN where unknown.
-        distances: (h, w) distance of the cells from the mirror point, cells.
-        inner: inner radius of the ring, cells.
-    """
-    outer = inner + _WIDTH
-    contrast = _ring_means(total, share, inner, outer) - surroundings
-    others = contrast[np.isfinite(contrast) & (distances > _WIDEST + outer)]
-    if len(others) < 16:
-        return np.full_like(contrast, np.nan)
-    return np.abs((contrast - others.mean()) / (others.std() + 1e-3)).astype(np.float32)
-
-
-def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
-    """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
-    offsets = np.arange(-outer, outer + 1)
-    radius = np.hypot(offsets, offsets[:, None])
-    ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
-    sums, counts = (
-        cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
-    )
-    return np.where(counts > _INSIDE * ring.sum(), sums / np.maximum(counts, 1e-6), np.nan)

@@ -10,18 +10,13 @@ import pytest
 import torch
 from photographed import SETUP, Photographed, photographed
 
-from matcap.capture.exemplar.inpaint import (
-    Copies,
-    composed,
-    inpainted,
-    remaining_highlight,
-    transport,
-)
+from matcap.capture.exemplar.inpaint import Copies, composed, inpainted, transport
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import exemplar_of, predict_maps
 from matcap.capture.exemplar.refine import refine_maps
 from matcap.example.exemplar import Exemplar
+from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
 from matcap.flash.rectify import plane_of
 
