@@ -251,6 +251,8 @@ def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_
     done = {name: capture_file(path, settings) for name, path in photographs.items()}
     lying, standing = done["lying"], done["standing"]
     assert standing.maps.size == (96, 128) == standing.rectified.shape[1::-1]
+    assert torch.equal(standing.material.maps(96, 128).stacked(), standing.maps.stacked())
+    assert "matching" not in standing.stage_seconds  # as it is a draft
     np.testing.assert_array_equal(
         standing.estimate.exemplar.diffuse, np.rot90(lying.estimate.exemplar.diffuse, -1, (1, 2))
     )
