@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -12,11 +13,15 @@ FILES = sorted(
     for file in (*ROOT.glob("matcap/**/*.py"), *ROOT.glob("lab/*/**/*.py"))
     if "tests" not in file.parts[len(ROOT.parts) :]
 )
-TREES = {file: ast.parse(file.read_bytes()) for file in FILES}
+
+
+@cache
+def trees() -> dict[Path, ast.Module]:
+    return {file: ast.parse(file.read_bytes()) for file in FILES}
 
 
 def test_no_two_classes_share_a_name():
-    nodes = (node for tree in TREES.values() for node in ast.walk(tree))
+    nodes = (node for tree in trees().values() for node in ast.walk(tree))
     names = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
     assert len(names) > 100
     assert [name for name, count in names.items() if count > 1] == []
@@ -25,7 +30,7 @@ def test_no_two_classes_share_a_name():
 def test_no_alias_is_another_thing_elsewhere():
     """Types have capitals; the same definition may stand in several files."""
     meant: dict[str, set[str]] = {}
-    for file, tree in TREES.items():
+    for file, tree in trees().items():
         for node in tree.body:
             if isinstance(node, ast.ClassDef):
                 meant.setdefault(node.name, set()).add(f"class of {file.name}")
@@ -76,7 +81,7 @@ def words(name: str) -> set[str]:
 def test_names_are_of_the_fields_own_words():
     """A module, class, function, field, parameter or variable is named for what it is."""
     assert words("told_apart") & WORDS == {"told", "apart"} and not words("HELD_OUT") & WORDS
-    seen = {file: {file.stem} | identifiers(tree) for file, tree in TREES.items()}
+    seen = {file: {file.stem} | identifiers(tree) for file, tree in trees().items()}
     wrong = {
         f"{file.name}: {name}"
         for file, names in seen.items()
