@@ -15,16 +15,20 @@ from matcap.space.prior.store import VARYING, Anchors, ConditionalMean, Prior
 SMALL = DecoderConfig(noise_channels=4, widths=(8, 8, 8, 8, 8), convolutions=(1, 1))
 
 
-def small_photo(seed: int) -> Photo:
-    """A noisy, shaded brown picture."""
+def small_light(seed: int) -> np.ndarray:
+    """(192, 256, 3) linear light of a noisy, shaded brown picture."""
     import cv2
 
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[-0.75:0.75:192j, -1.0:1.0:256j]
     shading = 0.4 / (1.0 + x**2 + y**2)
     noise = cv2.GaussianBlur(rng.normal(0.0, 1.0, (192, 256, 3)), (0, 0), 1.5)
-    linear = shading[..., None] * np.array([0.6, 0.4, 0.3]) * np.exp(noise)
-    return photo_from_array(linear.clip(0.0, 0.99).astype(np.float32))
+    return shading[..., None] * np.array([0.6, 0.4, 0.3]) * np.exp(noise)
+
+
+def small_photo(seed: int) -> Photo:
+    """A photograph of it."""
+    return photo_from_array(small_light(seed).clip(0.0, 0.99).astype(np.float32))
 
 
 def coarse() -> CoarseFit:

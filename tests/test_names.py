@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -14,9 +15,14 @@ FILES = sorted(
 )
 
 
+@cache
+def trees() -> dict[Path, ast.Module]:
+    return {file: ast.parse(file.read_bytes()) for file in FILES}
+
+
 def test_no_two_classes_share_a_name():
-    trees = [ast.parse(file.read_text(encoding="utf-8")) for file in FILES]
-    names = Counter(n.name for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef))
+    nodes = (node for tree in trees().values() for node in ast.walk(tree))
+    names = Counter(node.name for node in nodes if isinstance(node, ast.ClassDef))
     assert len(names) > 100
     assert [name for name, count in names.items() if count > 1] == []
 
@@ -24,8 +30,8 @@ def test_no_two_classes_share_a_name():
 def test_no_alias_is_another_thing_elsewhere():
     """Types have capitals; the same definition may stand in several files."""
     meant: dict[str, set[str]] = {}
-    for file in FILES:
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+    for file, tree in trees().items():
+        for node in tree.body:
             if isinstance(node, ast.ClassDef):
                 meant.setdefault(node.name, set()).add(f"class of {file.name}")
             if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
@@ -75,7 +81,7 @@ def words(name: str) -> set[str]:
 def test_names_are_of_the_fields_own_words():
     """A module, class, function, field, parameter or variable is named for what it is."""
     assert words("told_apart") & WORDS == {"told", "apart"} and not words("HELD_OUT") & WORDS
-    seen = {file: {file.stem} | identifiers(ast.parse(file.read_bytes())) for file in FILES}
+    seen = {file: {file.stem} | identifiers(tree) for file, tree in trees().items()}
     wrong = {
         f"{file.name}: {name}"
         for file, names in seen.items()

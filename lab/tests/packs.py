@@ -1,24 +1,18 @@
 """Small packs of photographs, as fixtures too."""
 
-import numpy as np
 import pytest
 import torch
-from small import coarse
+from small import coarse, small_light
 
 from matcap.statistics.lattice import Wave
 from matcap_lab.train.corpus import Entry, Pack, srgb_bytes
 
 
 def jpeg(seed: int) -> bytes:
-    """A noisy, shaded brown picture."""
+    """A small photograph."""
     import cv2
 
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[-0.75:0.75:192j, -1.0:1.0:256j]
-    shading = 0.4 / (1.0 + x**2 + y**2)
-    noise = cv2.GaussianBlur(rng.normal(0.0, 1.0, (192, 256, 3)), (0, 0), 1.5)
-    linear = shading[..., None] * np.array([0.6, 0.4, 0.3]) * np.exp(noise)
-    return cv2.imencode(".jpg", srgb_bytes(linear.clip(0.0, 1.0)))[1].tobytes()
+    return cv2.imencode(".jpg", srgb_bytes(small_light(seed).clip(0.0, 1.0)))[1].tobytes()
 
 
 def entry(name: str, seed: int, *, simulated: bool = False) -> Entry:

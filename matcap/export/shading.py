@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -69,7 +69,7 @@ GLTF = TargetShading(layer="half", compensated=True)
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cosines of a surface for one light and view, (1, H, W) each."""
+    """Cosines of a surface for light and view, (..., 1, H, W) each; (...) are several lights."""
 
     light: Tensor
     """n.l, clamped to 0."""
@@ -84,7 +84,7 @@ class Geometry:
 
     @staticmethod
     def of(normal: Tensor, to_light: Tensor, to_view: Tensor) -> Geometry:
-        """Cosines of normals (3, H, W) of any length with unit vectors (3, H, W) or (3, 1, 1)."""
+        """Cosines of normals (3, H, W) of any length with unit vectors (..., 3, H or 1, W or 1)."""
         normal, half = normalize(normal), normalize(to_light + to_view)
         light, view = dot(normal, to_light), dot(normal, to_view)
         above = ((light > 0) & (view > 0)).to(light.dtype)
@@ -202,7 +202,7 @@ def directional_albedo(roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tenso
     """(bias, total) of the lobe's directional albedo, F0 (total - bias) + bias [karis2013].
 
     Args:
-        roughness, cosine: (1, H, W) each; n.v.
+        roughness, cosine: (1, H, W) each; n.v, of one view.
     """
     roughness, cosine = torch.broadcast_tensors(roughness, cosine)
     tables = _tables().to(roughness.dtype)
@@ -229,6 +229,7 @@ _AROUND = (0.0, 90.0, 180.0, 270.0)
 # Largest number of texels that are compared, on a regular grid.
 _TEXELS = 65_536
 _FEW_TEXELS = 4_096  # to choose between variants
+_AT_ONCE = 131_072  # texels times lights
 
 
 @dataclass(frozen=True)
@@ -255,10 +256,11 @@ class TargetSurface:
     """(1, H, W) weight of that lobe; `f0` has weight 1 - share."""
 
     def shine(self, to_light: Tensor, to_view: Tensor) -> Tensor:
-        """(3, H, W) BRDF times n.l; 0 where light or view is below the surface.
+        """(..., 3, H, W) BRDF times n.l; 0 where light or view is below the surface.
 
         Args:
-            to_light, to_view: (3, H, W) or (3, 1, 1) unit vectors.
+            to_light: (..., 3, H, W) or (..., 3, 1, 1) unit vectors.
+            to_view: (3, H, W) or (3, 1, 1) unit vectors.
         """
         at = Geometry.of(self.normal, to_light, to_view)
         below = self.diffuse * diffuse_lobe(self.shading, at, self.roughness, self.layer)
@@ -294,9 +296,18 @@ def thinning(width: int, height: int, texels: int = _TEXELS) -> int:
     return max(1, math.ceil(math.sqrt(width * height / texels)))
 
 
+def _together(surface: TargetSurface) -> Iterator[tuple[Tensor, Tensor]]:
+    """(N, 3, 1, 1) lights and their view, as many at once as stay in a cache."""
+    count = max(1, _AT_ONCE // surface.normal[0].numel())
+    for start in range(0, len(DIRECTIONS), _A_VIEW):
+        lights, views = zip(*DIRECTIONS[start : start + _A_VIEW], strict=True)
+        for some in torch.stack(lights).split(count):
+            yield some, views[0]
+
+
 def shine_all(surface: TargetSurface) -> list[Tensor]:
-    """BRDF n.l for all DIRECTIONS."""
-    return [surface.shine(*directions) for directions in DIRECTIONS]
+    """BRDF n.l for all DIRECTIONS, (N, 3, H, W) of several lights each."""
+    return [surface.shine(*directions) for directions in _together(surface)]
 
 
 def compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
@@ -305,13 +316,15 @@ def compared(meant: list[Tensor], theirs: TargetSurface) -> Residual:
     Views at 0 and 45 degrees to +z, lights at 15, 40 and 65 degrees on four sides; the sum of
     absolute differences of BRDF n.l, divided by the sum of matcap's, `meant` (shine_all).
     """
-    off, total, worst = 0.0, 0.0, 0.0
-    for directions, true in zip(DIRECTIONS, meant, strict=True):
-        error = float((theirs.shine(*directions) - true).abs().sum())
-        light = float(true.sum())
-        off, total = off + error, total + light
-        worst = max(worst, error / light if light > 0.0 else 0.0)
-    return Residual(off / total if total > 0.0 else 0.0, worst)
+    pairs = zip(_together(theirs), meant, strict=True)
+    off = torch.cat([_sums((theirs.shine(*at) - true).abs_()) for at, true in pairs])
+    light = torch.cat([_sums(true) for true in meant])
+    total, shares = float(light.sum()), torch.where(light > 0.0, off / light, 0.0)
+    return Residual(float(off.sum()) / total if total > 0.0 else 0.0, float(shares.max()))
+
+
+def _sums(values: Tensor) -> Tensor:
+    return values.flatten(1).sum(1)
 
 
 def residuals(
@@ -362,7 +375,8 @@ def _direction(tilt: float, around: float) -> Tensor:
     return torch.tensor(vector, dtype=torch.float64)[:, None, None]
 
 
-# (to_light, to_view) pairs.
+# (to_light, to_view) pairs, _A_VIEW lights of a view after each other.
+_A_VIEW = len(_LIGHTS) * len(_AROUND)
 DIRECTIONS: tuple[tuple[Tensor, Tensor], ...] = tuple(
     (_direction(tilt, around), _direction(view, 0.0))
     for view in _VIEWS

@@ -91,6 +91,9 @@ def test_every_stage_has_its_share_and_is_reported_in_order(captured, generator,
     assert (report["tuning"] is None) == (generator == "example")
     draws = report["tuning"] is not None and report["tuning"]["drawing"]
     assert draws == (generator != "example")
+    # With what ends a decoder's capture, matching, too.
+    again = result.material.maps(*result.maps.size, generator=generator or "example")
+    assert torch.equal(again.stacked(), result.maps.stacked())
 
 
 def test_a_time_limit_leaves_room_for_what_comes_after():

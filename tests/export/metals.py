@@ -7,7 +7,7 @@ from matcap.brdf.cook_torrance import METAL_F0
 from matcap.brdf.maps import MapSet
 
 DIELECTRIC = 0.04
-SIDE = 64
+SIDE = 32
 
 
 def colour(*channels):

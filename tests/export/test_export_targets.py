@@ -25,7 +25,7 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.export.job import ExportJob, material_reach
 from matcap.export.presets import PRESETS
-from matcap.export.shading import TargetShading, TargetSurface
+from matcap.export.shading import DIRECTIONS, TargetShading, TargetSurface, compared, shine_all
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
 from matcap.field.opened import open_material, open_tile
 
@@ -221,6 +221,22 @@ CHANGES = {
     "half": lambda s: {"shading": TargetShading(layer="half"), "layer": s.f0},
     "albedo": lambda s: {"shading": TargetShading(layer="albedo"), "layer": s.f0},
 }
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_lights_at_once_are_those_one_by_one(made, change):
+    true = every(of_maps(made["rust"]), 1)
+    theirs = replace(true, **CHANGES[change](true))
+    off, light = (
+        np.array([float(values.abs().sum()) for values in every_light])
+        for every_light in (
+            [theirs.shine(*at) - true.shine(*at) for at in DIRECTIONS],
+            [true.shine(*at) for at in DIRECTIONS],
+        )
+    )
+    found = compared(shine_all(true), theirs)
+    assert found.mean == pytest.approx(off.sum() / light.sum(), rel=1e-12)
+    assert found.worst == pytest.approx((off / light).max(), rel=1e-12)
 
 
 @pytest.mark.parametrize("change", CHANGES)

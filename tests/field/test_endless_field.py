@@ -7,6 +7,7 @@ import sys
 import threading
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import pytest
@@ -33,10 +34,18 @@ from matcap.statistics.lattice import Wave
 # The field is one function of texel and seed, however it is read.
 
 
-@pytest.fixture(scope="module", params=["noise", "waves", "drawing"])
+KINDS = ("noise", "waves", "drawing")
+
+
+@cache
+def of_kind(kind):
+    drawing = Drawing(Example.of(blobs())) if kind == "drawing" else None
+    return noisy(WAVES if kind == "waves" else (), drawing)
+
+
+@pytest.fixture(params=KINDS)
 def material(request):
-    drawing = Drawing(Example.of(blobs())) if request.param == "drawing" else None
-    return noisy(WAVES if request.param == "waves" else (), drawing)
+    return of_kind(request.param)
 
 
 @pytest.mark.parametrize(
@@ -83,16 +92,22 @@ def test_reading_works_in_inference_mode_and_leaves_the_thread_count(material):
     assert torch.get_num_threads() == threads == 2 and seen == [threads]
 
 
-def test_seeds_give_different_fields_and_processes_the_same(material, tmp_path):
-    material.save(tmp_path / "m.matcap")
+def test_processes_give_the_same_field(tmp_path):
+    files = [str(tmp_path / f"{kind}.matcap") for kind in KINDS]
+    for kind, file in zip(KINDS, files, strict=True):
+        of_kind(kind).save(file)
     program = (
-        "import sys, hashlib, matcap; m = matcap.Material.load(sys.argv[1]);"
-        "print(hashlib.sha256(m.maps(70, 50, seed=9).stacked().numpy().tobytes()).hexdigest())"
+        "import sys, hashlib, matcap\n"
+        "for m in map(matcap.Material.load, sys.argv[1:]):\n"
+        "    print(hashlib.sha256(m.maps(70, 50, seed=9).stacked().numpy().tobytes()).hexdigest())"
     )
-    command = [sys.executable, "-c", program, str(tmp_path / "m.matcap")]
-    other = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    own = material.maps(70, 50, seed=9).stacked().numpy().tobytes()
-    assert other == hashlib.sha256(own).hexdigest()
+    command = [sys.executable, "-c", program, *files]
+    other = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    own = (of_kind(kind).maps(70, 50, seed=9).stacked().numpy().tobytes() for kind in KINDS)
+    assert other == [hashlib.sha256(maps).hexdigest() for maps in own]
+
+
+def test_seeds_give_different_fields(material):
     a, b = (material.maps(64, 64, seed=s).diffuse for s in (1, 2))
     assert (a - b).abs().max() > 0.01
 

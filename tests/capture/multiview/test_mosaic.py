@@ -44,7 +44,7 @@ from matcap.photo.photo import Photo
 # Extent of a mosaic, and predictions and maps over it.
 
 
-PHONE = PhoneCamera(width=640, height=480, supersampling=1)
+PHONE = PhoneCamera(width=480, height=360, supersampling=1)
 BESIDE = Hand(aside=math.tan(math.radians(PHONE.fov) / 2.0), aimed=1.0)
 SIZE = (128, 96)
 

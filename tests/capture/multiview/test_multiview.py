@@ -41,6 +41,7 @@ from matcap.flash.rectify import picture_of
 # Several photographs of one piece: cameras, places, maps, and what is said of them.
 
 
+FEWER_PIXELS = replace(PHONE, width=480, height=360)
 NOTHING_KNOWN = LOG_ERROR.expand(4, *SIZE)
 
 
@@ -218,16 +219,11 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
 
 
-def _captured(name, detail):
-    """Two photographs of a material as one material."""
-    _, photos = photographed(name, PHONE, 2, 5)
-    settings = CaptureSettings(preset="instant", detail=detail)
-    return capture_photo(photos[0], settings, others=photos[1:])
-
-
 def test_a_pair_keeps_the_highlight_of_glossy_tiles():
     """In the photographed rectangle: in the field it is that of the tile at the mirror point."""
-    captured = _captured("tile", 256)
+    _, (first, second) = photographed("tile", FEWER_PIXELS, 2, 5)
+    settings = CaptureSettings(preset="instant", detail=192)
+    captured = capture_photo(first, settings, others=[second])
     maps = map_set_of(captured.estimate.first_rectangle)
     with torch.inference_mode():
         rendered = picture_of(render_rectified(maps, captured.material.setup))

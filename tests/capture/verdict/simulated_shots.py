@@ -10,7 +10,7 @@ from simulated.photographs import PhoneCamera, as_photo, take, true_maps
 from matcap.brdf.maps import MapSet
 from matcap.flash.geometry import FlashSetup
 
-CAMERA = PhoneCamera(width=512, height=384, supersampling=1, blur=0.5)
+CAMERA = PhoneCamera(width=384, height=288, supersampling=1, blur=0.5)
 SETUP = FlashSetup(offset=(0.05, 0.04, 0.0), tilt=(0.02, -0.01), vignetting=0.02)
 
 
@@ -79,8 +79,8 @@ def painting():
     """A picture of patches that is no one material, under a good flash."""
     photo = good("plaster")
     rng = np.random.default_rng(5)
-    patches = rng.uniform(0.05, 1.0, (3, 4, 3)).repeat(128, axis=0).repeat(128, axis=1)
-    grain = np.exp(rng.normal(0.0, np.array([0.02, 0.1, 0.4, 0.8]).repeat(128)[None, :, None],
+    patches = rng.uniform(0.05, 1.0, (3, 4, 3)).repeat(96, axis=0).repeat(96, axis=1)
+    grain = np.exp(rng.normal(0.0, np.array([0.02, 0.1, 0.4, 0.8]).repeat(96)[None, :, None],
                               photo.pixels.shape))  # fmt: skip
     return _of(photo, photo.pixels * patches * grain)
 

@@ -289,6 +289,7 @@ def test_a_measurement_that_is_not_a_number_has_failed():
 
 def test_the_highlight_of_a_photograph_is_described():
     quality = photograph_quality(shots.good("tile"))
+    assert judge(replace(FINE, photograph=quality)).fit
     assert "times as bright as a matte surface" in quality["highlight"].says
     assert "its glints vary by" in quality["highlight"].says
 
@@ -505,7 +506,9 @@ BAD_SHOTS = {
 
 @pytest.mark.parametrize("bad", BAD_SHOTS)
 def test_bad_photographs_are_not_called_good_or_usable(bad):
-    assert not captured(BAD_SHOTS[bad]()).fit
+    """However well they are captured."""
+    quality = photograph_quality(BAD_SHOTS[bad]())
+    assert not judge(replace(FINE, photograph=quality)).fit
 
 
 @pytest.mark.parametrize(("factor", "fit"), [(0.49, False), (0.6, True), (1.7, True), (2.1, False)])
@@ -531,13 +534,18 @@ def photo_with_clipped_highlight():
     return replace(photo, pixels=pixels.clip(0, 1), clipped=(pixels >= 1.0).any(axis=2))
 
 
-def highlight_of(glossy, **factors):
-    """What is measured of a capture that is right but for factors of some maps."""
-    photo, setup, picture = glossy
+def rendered_again(setup, **factors):
+    """What a capture re-renders that is right but for factors of some maps."""
     maps = shots.maps("granite", seed=4)
     maps = replace(maps, **{name: getattr(maps, name) * by for name, by in factors.items()})
-    again = render_rectified(maps, setup).movedim(0, -1).contiguous().numpy()
-    return measure_capture(photo, setup, picture, again, _valid(photo, setup, picture))
+    return render_rectified(maps, setup).movedim(0, -1).contiguous().numpy()
+
+
+def highlight_of(glossy, **factors):
+    """What is measured of such a capture."""
+    photo, setup, picture = glossy
+    again, valid = rendered_again(setup, **factors), _valid(photo, setup, picture)
+    return measure_capture(photo, setup, picture, again, valid)
 
 
 def test_a_capture_with_the_photographed_gloss_is_usable(glossy):
@@ -557,8 +565,13 @@ def test_a_capture_whose_gloss_is_replaced_is_not_usable(glossy, factors):
 
 def test_contrast_is_of_radiance_over_an_even_matte_surface(glossy):
     """F0 adds to the highlight in proportion: L = diffuse + F0 S, where the surround has no S."""
+    photo, setup, picture = glossy
+    seen = _valid(photo, setup, picture)
     once, half = (
-        highlight_of(glossy, specular=factor).profile.contrast[1] for factor in (1.0, 0.5)
+        highlight_profile(
+            (picture, rendered_again(setup, specular=factor)), seen, seen, setup
+        ).contrast[1]
+        for factor in (1.0, 0.5)
     )
     assert half - 1.0 == pytest.approx(0.5 * (once - 1.0), rel=0.1)
 

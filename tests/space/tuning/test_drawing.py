@@ -236,10 +236,14 @@ def test_one_that_draws_blends_with_one_that_does_not(drawn, drawing):
         assert float(change) < 0.02
 
 
+@pytest.fixture(scope="module")
+def example():
+    return Example.of(blobs(352, 288))
+
+
 @pytest.mark.parametrize("turned", [False, True])
-def test_beside_an_exemplar_it_draws_from_that(tmp_path, turned):
+def test_beside_an_exemplar_it_draws_from_that(tmp_path, example, turned):
     """One file, one exemplar: the decoder's texels are means of its texels, of the same field."""
-    example = Example.of(blobs(352, 288))
     drawing = Drawing(example, finer=2, turned=turned)
     alone = a_material("both", config=SMALL, drawing=drawing)
     setup = replace(alone.setup, turned=turned)
@@ -273,8 +277,9 @@ def test_beside_an_exemplar_it_draws_from_that(tmp_path, turned):
     assert torch.equal(alone.maps(64, 48, seed=3, x=16, y=-32).stacked(), one.stacked())
 
 
-def test_a_decoder_is_not_read_without_the_exemplar_that_it_draws_from(tmp_path, monkeypatch):
-    example = Example.of(blobs(352, 288))
+def test_a_decoder_is_not_read_without_the_exemplar_that_it_draws_from(
+    tmp_path, monkeypatch, example
+):
     alone = a_material("both", config=SMALL, drawing=Drawing(example, finer=2))
     both = replace(alone, generators={"example": example, **alone.generators})
     monkeypatch.setattr(Example, "in_file", lambda self, by_example=None, entry="example": ({}, {}))

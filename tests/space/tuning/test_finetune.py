@@ -54,19 +54,23 @@ def error_at_the_start():
     return error_of(start())
 
 
+@cache
+def tuned_long():
+    return tune(steps=80)
+
+
 def state_of(tuned):
     return tuned.decoder.state_dict()
 
 
 def test_the_error_falls_on_unseen_noise():
-    before = error_at_the_start()
-    tuned = tune(steps=80)
+    before, tuned = error_at_the_start(), tuned_long()
     assert error_of(tuned.decoder, list(tuned.moments)) < 0.8 * before
 
 
 def test_the_returned_decoder_is_the_optimised_one():
     """Frozen statistics belong to the decoder: folded, it is the same network."""
-    tuned = tune(steps=80)
+    tuned = tuned_long()
     folded = fold(tuned.decoder, TUNING_CODE, tuned.moments, has_waves=False)
     field = random_field(
         Patch(7, Rectangle(0, 0, 256, 256)), TUNING_CONFIG.noise_channels, (), levels=DEPTH

@@ -5,16 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from simulated.materials import piece
-from simulated.photographs import PhoneCamera, as_photo, take
 from tuning import CODE, SETUP, WINDOW, photograph, scene, start, tune
 from tuning import HEIGHT as TUNING_HEIGHT
 from tuning import WIDTH as TUNING_WIDTH
 from uniform import a_setup
 from uniform import photograph as uniform
 
-from matcap.capture.pipeline import capture_photo
-from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import Plane, plane_of, rectify, rectify_noise
@@ -192,22 +188,6 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
     nothing = found(far, photo)
     assert nothing.gain == 1.0
     assert not nothing.shift.any()
-
-
-@pytest.mark.usefixtures("one_coarse_fit")
-def test_captures_but_drafts_end_with_matching():
-    setup = SETUP.with_intensity((3.0, 3.0, 3.0))
-    shot = take(piece("leather", 1), PhoneCamera(128, 96, supersampling=1), setup)
-    stages = {}
-    for name, settings in (
-        ("tuned", CaptureSettings(steps=2, detail=128, generator="decoder")),
-        ("draft", CaptureSettings(preset="draft", steps=2, detail=128, generator="decoder")),
-    ):
-        result = capture_photo(as_photo(shot, 1, "leather.dng"), settings)
-        stages[name] = "matching" in result.stage_seconds
-        again = result.material.maps(*result.maps.size, seed=0)
-        assert torch.equal(again.stacked(), result.maps.stacked())
-    assert stages == {"tuned": True, "draft": False}
 
 
 @pytest.mark.parametrize(
