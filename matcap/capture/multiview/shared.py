@@ -325,7 +325,7 @@ class _SharedFit:
             if number and self.by_move:
                 move = self.start.parts(values).move[number - 1].float()
                 residual = view.log + torch.einsum("i,icxn->cxn", move, self.by_move[number]) - log
-            weight = weights(residual, view.seen, view.noise)[:, 0]
+            weight = weights(residual, view.seen, view.variance)[:, 0]
             by_shared, indices = self._by_shared(number, some, log, values, index)
             by_hue, hues = self._by_hue(by_texel[1][0], index.gloss)
             by_shared, indices = torch.cat([by_shared, by_hue]), torch.cat([indices, hues])

@@ -58,9 +58,11 @@ ROUNDS: tuple[int, ...] = (2, 2, 1)
 _SLOPE = 1.0
 # The same of several materials: where gloss is strong, a slope explains any radiance.
 _GLOSSY_SLOPE, _GLOSSY_WIDER = 0.05, 1.0
-# Then that deviation over the measured error is the number of photographs less one: noise of slopes
-# from two photographs is in all octaves. One without flash, which measures albedo, counts as five.
-_UNLIT = 5
+# Then that deviation over the measured error is the number of photographs less one, of several at
+# least _WIDER: it is the same for all wavelengths, and errors are long waves, which a narrow prior
+# holds back to the network's. One without flash, which measures albedo, counts as five.
+_WIDER, _UNLIT = 4.0, 5
+_SPREAD = 1.4826  # of Gaussian residuals, standard deviation over median absolute value
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,28 @@ class _Iterate:
             light = replace(light, gloss=torch.zeros_like(gloss))
         light = with_ambient_gradient(views, prior.mean, light)
         return _Iterate(views, light, prior, prior, Stepped.none(parameters), error, energies)
+
+    def with_noise(self, *, solved: bool) -> _Iterate:
+        """With the noise of log radiance by channel that residuals show, of one material.
+
+        JPEG's noise differs from set to set tenfold, and contrast that maps cannot have, as that
+        of glints below a texel, counts as noise.
+
+        Args:
+            solved: whether texels are fitted to all photographs of this grid, three albedos and
+                the slopes that they tell; else to the first, which differs from each of the others
+                by the noise of both.
+        """
+        count = len(self.views)
+        if count < 2 or len(self.prior.shares) > 1 or not all(v.flash for v in self.views):
+            return self
+        free = 3 * count - 3 - min(2, count - 1)
+        share = 3 * count / free if solved else count / (2.0 * count - 2.0)
+        off = _residuals(self.views, self.step.parameters, self.light)
+        medians = torch.stack([each.nanmedian(dim=1).values.nan_to_num(0.0) for each in off])
+        variance = _SPREAD**2 * share * medians.square().mean(0)[:, None, None]
+        views = [replace(view, measured_variance=variance) for view in self.views]
+        return replace(self, views=views)
 
     def with_shared(self, slope: float, sampled: int) -> _Iterate:
         """Begin a round: fit the shared parameters.
@@ -230,7 +254,7 @@ def solve(
             prediction.basis and prediction.basis.changed(light.gloss),
         ),
         light,
-        _residuals(views, parameters, light),
+        tuple(float(each.nanmedian()) for each in _residuals(views, parameters, light)),
         tuple(share[part].median().item() for part in (ALBEDO, F0, ROUGH, SLOPES)),
         iterate.prediction_error,
         iterate.slope_energies,
@@ -248,12 +272,14 @@ def _iterates(
         rounds, sampled: as of solve.
         measure: whether the first round measures the error of the predicted slopes.
     """
-    first, wider = _SLOPE, sum(1.0 if view.flash else _UNLIT for view in iterate.views) - 1.0
+    others = sum(1.0 if view.flash else _UNLIT for view in iterate.views) - 1.0
+    first, wider = _SLOPE, max(others, _WIDER) if others else 0.0
     if len(iterate.prior.shares) > 1:
         first, wider = _GLOSSY_SLOPE, _GLOSSY_WIDER
     for index, steps in enumerate(rounds):
         measures = measure and index == 0
         slope = first if measures else wider * iterate.prediction_error
+        iterate = iterate if measures else iterate.with_noise(solved=index > 0)
         iterate = iterate.with_shared(slope, sampled)
         for _ in range(steps - 1):
             iterate = iterate.stepped(jackknife=False)
@@ -336,14 +362,17 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
 
 def _residuals(
     views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
-) -> tuple[float, ...]:
-    """Median absolute residual of log radiance of each photograph, from a quarter of the rows."""
+) -> tuple[Tensor, ...]:
+    """(3, n) absolute residuals of log radiance of each photograph, from a quarter of the rows.
+
+    NaN where it is not seen.
+    """
     residuals: list[list[Tensor]] = [[] for _ in views]
     for rows in strips(parameters.shape[1], 12)[::4]:
         points = points_of(parameters.shape[-2:], rows, views[0].extent)
         lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
         rendered = log_rendered(parameters[:, rows], lights)
         for view, residual, log in zip(views, residuals, rendered, strict=True):
-            residual.append((view.log[:, rows] - log)[view.seen[:, rows]].abs())
-    every = (torch.cat(each) for each in residuals)
-    return tuple(float(each.median()) if each.numel() else math.nan for each in every)
+            off = (view.log[:, rows] - log).abs().where(view.seen[:, rows], torch.nan)
+            residual.append(off.flatten(1))
+    return tuple(torch.cat(each, dim=1) for each in residuals)

@@ -45,8 +45,6 @@ OTHER_SLOPES = slice(2, 4)
 
 # Of the multi-view solution; docs/notes/several.md.
 _ROBUST = 0.25  # s of the weights 1 / (1 + (r / s)^2)^2 of residuals r of log radiance
-# Standard deviation of log radiance in one channel of one photograph, model error included.
-_NOISE = 0.02
 # Least prior standard deviation of log albedo.
 _ALBEDO = 0.25
 # Prior standard deviations of the change of log F0 and logit roughness of one material for all.
@@ -333,10 +331,10 @@ def under_fitted_ambient(
     return [view if view.flash else even(view) for view in views]
 
 
-def weights(residual: Tensor, seen: Tensor, noise: float) -> Tensor:
+def weights(residual: Tensor, seen: Tensor, variance: Tensor | float) -> Tensor:
     """Weights of residuals r of log radiance: 1 / (1 + (r / s)^2)^2 / variance [geman1985]."""
     kept = 1.0 / (1.0 + (residual / _ROBUST).square()).square()
-    return seen * kept / (_NOISE**2 + noise**2)
+    return seen * kept / variance
 
 
 def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Tensor:
@@ -346,7 +344,7 @@ def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: Share
     total = torch.zeros(parameters.shape[-2:])
     for view, log in zip(views, log_rendered(parameters, lights), strict=True):
         square = (view.log - log).square()
-        cost = square / (1.0 + square / _ROBUST**2) / (_NOISE**2 + view.noise**2)
+        cost = square / (1.0 + square / _ROBUST**2) / view.variance
         total += 0.5 * (view.seen * cost).sum(0)
     return total
 
@@ -486,7 +484,7 @@ def _normal_equations(
             continue
         log, share, by_others = next(shaded)
         residual = view.log[:, rows] - log
-        weight = weights(residual, mask, view.noise).flatten(1)
+        weight = weights(residual, mask, view.variance).flatten(1)
         others = by_others[: count - F0]
         equations.append(normal_equations(residual.flatten(1), weight, share, others))
     return equations

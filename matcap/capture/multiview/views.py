@@ -34,6 +34,8 @@ from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.photo import Photo
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs
+# Least standard deviation of log radiance in one channel of one photograph, model error included.
+_NOISE = 0.02
 _BORDER = 2.0  # width of a photograph's unused border, pixels
 
 
@@ -152,10 +154,16 @@ class ResampledView:
     extent: Extent = OWN
     """Extent of the grid."""
 
+    measured_variance: Tensor | float = 0.0
+    """(3, 1, 1) variance of log radiance by channel, of residuals (solve.py); 0 if unknown."""
+
     @property
-    def noise(self) -> float:
-        """Standard deviation of log radiance in addition to texels._NOISE."""
-        return 0.0 if self.flash else AMBIENT_NOISE
+    def variance(self) -> Tensor | float:
+        """(3, 1, 1) variance of log radiance by channel, or of all; residuals' weight is 1 / it."""
+        least = _NOISE**2 if self.flash else _NOISE**2 + AMBIENT_NOISE**2
+        if isinstance(self.measured_variance, float):
+            return least
+        return self.measured_variance.clamp_min(least)
 
     @staticmethod
     def of(
