@@ -386,17 +386,21 @@ def stops(advice: str) -> int:
     return int(advice.split(" stops")[0].rsplit(" ", 1)[1])
 
 
-def test_the_brighter_the_highlight_the_darker_the_exposure():
-    advised = [stops(_darker(fit(intensity), 1.0)) for intensity in (0.01, 0.3, 1.0, 4.0, 1000.0)]
+@pytest.mark.parametrize("merged", [False, True])
+def test_the_brighter_the_highlight_the_darker_the_exposure(merged):
+    advised = [
+        stops(_darker(fit(intensity), 1.0, merged)) for intensity in (0.01, 0.3, 1.0, 4.0, 1000.0)
+    ]
     assert (
         advised == sorted(advised)
         and advised[0] == 2
         and advised[-1] == 6
         and len(set(advised)) >= 3
     )
-    assert stops(_darker(fit(4.0), 4.0)) == stops(_darker(fit(1.0), 1.0))
+    assert stops(_darker(fit(4.0), 4.0, merged)) == stops(_darker(fit(1.0), 1.0, merged))
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.5])
-def test_the_advice_names_the_position(roughness):
-    assert "from the same place" in _darker(fit(1.0, roughness), 1.0)
+@pytest.mark.parametrize("merged", [False, True])
+def test_the_advice_names_the_position(roughness, merged):
+    assert "from the same place" in _darker(fit(1.0, roughness), 1.0, merged)
