@@ -45,6 +45,7 @@ _WHOLE_DONOR = 0.95  # least confident share of a donor block
 # A texel whose log albedo is this many times the median distance from the median is a mark, unless
 # more than _MARKED of the picture are: dust, a stain, what lies beside the sample.
 _OUTSTANDING, _MARKED = 7.0, 0.03
+_GRAIN = 8  # texels of marks in a block that nobody sees a second time
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
@@ -408,7 +409,7 @@ def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:
     usable = _counts(visible) >= _WHOLE_DONOR * _BLOCK**2
     if usable.any():
         marked = _counts(_marks(albedo, visible))
-        usable &= marked <= 2.0 * np.median(marked[usable])
+        usable &= marked <= max(_GRAIN, 2.0 * np.median(marked[usable]))
     return np.argwhere(usable)
 
 
