@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from simulated.files import mosaic, write_dng
 
 from matcap.capture import bracket
 from matcap.capture.bracket import (
@@ -22,8 +24,9 @@ from matcap.capture.bracket import (
 )
 from matcap.capture.pipeline import read_exposures
 from matcap.capture.settings import CaptureSettings
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 from matcap.files.color import srgb_decode, srgb_encode
+from matcap.files.settings import Rectangle
 from matcap.photo.left_out import shrunk
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo, ToneCurve
@@ -316,6 +319,27 @@ def test_exposures_are_read_and_aligned_once(tmp_path, monkeypatch):
     merged = read_exposures(group, CaptureSettings(preset="instant"), several=False)
     assert counts == {"load_photo": 4, "alignment": 2}
     assert merged.headroom == pytest.approx(16.0, rel=0.1) and "merged" in merged.notes[-1]
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_crop_and_mask_are_left_out_of_what_is_merged(tmp_path, raw):
+    """Left out before, it is mirrored, and RAW exposures did not align with it."""
+    paths = []
+    for k, (light, exposure) in enumerate([(scene(), 1.0), (moved(scene())[0], 1 / 16)]):
+        if raw:
+            samples = mosaic(taken(light, exposure, raw=True, seed=k).pixels)
+            exif = {33434: Fraction(exposure) / 60, 33437: Fraction(2), 34855: 100, 37385: 1}
+            paths.append(write_dng(tmp_path / f"{k}.dng", samples, exif=exif))
+        else:
+            photo = taken(light, exposure, seed=k)
+            paths.append(saved(tmp_path / f"{k}.jpg", photo, exposure))
+    settings = CaptureSettings(preset="instant")
+    cropped = replace(settings, crop=Rectangle(40, 300, 480, 150))
+    whole, part = (read_exposures(paths, each, several=False) for each in (settings, cropped))
+    assert part.left_out is not None and part.headroom == whole.headroom
+    assert np.array_equal(part.pixels[~part.left_out], whole.pixels[~part.left_out])
+    with pytest.raises(UsageError, match="crop"):
+        read_exposures(paths, cropped, several=True)
 
 
 def test_metadata_decides_before_pixels_do(tmp_path):
