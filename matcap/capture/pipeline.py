@@ -147,7 +147,7 @@ def read_exposures(paths: Sequence[Path], settings: CaptureSettings, *, several:
         return read_photograph(paths[0], settings, several=several)
     whole = settings if several else replace(settings, crop=None, mask=None)
     read = partial(read_photograph, settings=whole, several=several)
-    fine = fine_bracket(paths, fov=settings.fov, white=settings.white)
+    fine = fine_bracket(paths, settings.most_detail, fov=settings.fov, white=settings.white)
     if fine is None:
         merged = merge_bracket([read(path) for path in paths])
     else:
