@@ -48,6 +48,7 @@ LEAST_STOPS, MOST_STOPS = 0.75, 7.0  # between two of them; 1 to 6, with an erro
 _LEAST_DARKER = 0.4  # stops between medians of values, which a shoulder brings nearer to another
 _NEAR = 0.05  # way of the camera over its distance
 _DETECTED = 1024  # pixels across at which photographs are compared
+_MERGED = 512  # fewest across at which RAW ones are aligned as read; at 384, 3 of 8 materials fail
 # Alignment: pixels across of the tiles' grid and of the first, whole shift; pixels of a tile.
 _COLUMNS, _WHOLE, _TILE = 1024, 256, 128
 _FINEST = 4096  # pixels across of files of which single ones give the tone curve
@@ -151,9 +152,9 @@ class _Aligned:
 
     @property
     def whole(self) -> Photo | None:
-        """The photograph, if it has all pixels of its file."""
+        """The photograph, if it has all pixels of its file and no noise is known of it."""
         whole = self.photo.clipped.size == math.prod(self.photo.original_size)
-        return self.photo if whole else None
+        return self.photo if whole and not self.photo.radiometric else None
 
     @cached_property
     def glint_reach(self) -> int:
@@ -322,18 +323,22 @@ def _log_ratio(
 
 
 def fine_bracket(
-    paths: Sequence[Path], *, fov: float | None = None, white: float | None = None
+    paths: Sequence[Path], detail: int, *, fov: float | None = None, white: float | None = None
 ) -> Bracket | None:
     """The bracket of files that are no RAW, read once, at up to _FINEST; None if they are none.
+
+    With RAW ones, None if photographs of `detail` pixels across can be aligned by themselves.
 
     Its tone curve is that of single pixels: downsampling averages glints that the curve has
     compressed, and the shoulder would be found too strong (12 materials at half the resolution: w
     off by 0.08, not by 0.02).
     """
-    if any(file_kind(path) in (FileKind.RAW, FileKind.DNG) for path in paths):
+    raw = any(file_kind(path) in (FileKind.RAW, FileKind.DNG) for path in paths)
+    if raw and detail >= _MERGED:
         return None
-    read = partial(load_photo, long_side=_FINEST, fov=fov, noise=False, white=white)
-    return aligned_bracket([read(path) for path in paths], sampled=True)
+    pixels = _DETECTED if raw else _FINEST
+    read = partial(load_photo, long_side=pixels, fov=fov, noise=False, white=white)
+    return aligned_bracket([read(path) for path in paths], sampled=not raw)
 
 
 def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracket | None:

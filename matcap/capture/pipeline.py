@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from matcap.capture.bracket import find_brackets, fine_bracket, merge_bracket
@@ -139,20 +140,21 @@ def capture_file(
 def read_exposures(paths: Sequence[Path], settings: CaptureSettings, *, several: bool) -> Photo:
     """Read a photograph, or the exposures of a bracket merged into one.
 
-    Crop and mask are of the first. Arguments and exceptions as of read_photograph.
+    Crop and mask are of the first, and left out of what is merged: what they leave out is mirrored,
+    and would be compared with the others. Arguments and exceptions as of read_photograph.
     """
     if len(paths) == 1:
         return read_photograph(paths[0], settings, several=several)
-    rest = (replace(settings, crop=None, mask=None),) * (len(paths) - 1)
-    each = zip(paths, (settings, *rest), strict=True)
-    fine = fine_bracket(paths, fov=settings.fov, white=settings.white)
+    whole = settings if several else replace(settings, crop=None, mask=None)
+    read = partial(read_photograph, settings=whole, several=several)
+    fine = fine_bracket(paths, settings.most_detail, fov=settings.fov, white=settings.white)
     if fine is None:
-        return merge_bracket([read_photograph(*one, several=several) for one in each])
-    photos = [
-        read_photograph(*one, several=several, tone=tone, fine=view.whole)
-        for one, tone, view in zip(each, fine.curves, fine.views, strict=True)
-    ]
-    return fine.of(photos).merged()
+        merged = merge_bracket([read(path) for path in paths])
+    else:
+        each = zip(paths, fine.curves, fine.views, strict=True)
+        photos = [read(path, tone=tone, fine=view.whole) for path, tone, view in each]
+        merged = fine.of(photos).merged()
+    return leave_out(merged, settings.crop, settings.mask)
 
 
 def _captured(

@@ -150,7 +150,7 @@ class Material:
         if generator is None:
             return self
         if generator not in self.generators:
-            raise lacking(generator)
+            raise lacking(self.name, generator)
         made = self.generators[generator]
         size = self.texel_size if len(self.generators) == 1 else made.texel_size
         return replace(self, generators={generator: made}, texel_size=size, default=None)
@@ -272,16 +272,16 @@ class Material:
             )
 
 
-def lacking(generator: Generator) -> UsageError:
-    """The error for a material without this generator."""
+def lacking(material: str, generator: Generator) -> UsageError:
+    """The error for a material, by its name, without this generator."""
     if generator == "decoder":
         return UsageError.at(
             "--generator decoder",
-            "this material has no decoder of its own",
+            f"{material} has no decoder of its own",
             "capture the photograph with --generator decoder, or leave the option out",
         )
     return UsageError.at(
         "--generator example",
-        "this material has no exemplar",
+        f"{material} has no exemplar",
         "capture the photograph again, or use its decoder",
     )

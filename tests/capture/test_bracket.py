@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from simulated.files import mosaic, write_dng
 
 from matcap.capture import bracket
 from matcap.capture.bracket import (
@@ -22,8 +24,9 @@ from matcap.capture.bracket import (
 )
 from matcap.capture.pipeline import read_exposures
 from matcap.capture.settings import CaptureSettings
-from matcap.errors import MatcapError
+from matcap.errors import MatcapError, UsageError
 from matcap.files.color import srgb_decode, srgb_encode
+from matcap.files.settings import Rectangle
 from matcap.photo.left_out import shrunk
 from matcap.photo.load import load_photo
 from matcap.photo.photo import Photo, ToneCurve
@@ -276,7 +279,7 @@ def test_the_curve_is_measured_before_averaging_and_undone_before_it(tmp_path):
     light = scene() * np.exp(3.0 * fine - 0.3)[..., None].astype(np.float32)
     shown = [(taken(light), 1.0), (taken(light, 1 / 16, seed=2), 1 / 16)]
     paths = [saved(tmp_path / f"{k}.jpg", *each) for k, each in enumerate(shown)]
-    fine = fine_bracket(paths)
+    fine = fine_bracket(paths, WIDTH)
     tone = fine.curves[0]
     assert abs(tone.shoulder - CURVE.shoulder) < 0.06
     photo = shrunk(fine.views[0].photo, WIDTH // 4, tone)
@@ -316,6 +319,39 @@ def test_exposures_are_read_and_aligned_once(tmp_path, monkeypatch):
     merged = read_exposures(group, CaptureSettings(preset="instant"), several=False)
     assert counts == {"load_photo": 4, "alignment": 2}
     assert merged.headroom == pytest.approx(16.0, rel=0.1) and "merged" in merged.notes[-1]
+
+
+def written(folder, *, raw: bool):
+    """A bracket's files: scene(), and 4 stops darker and turned."""
+    paths = []
+    for k, (light, exposure) in enumerate([(scene(), 1.0), (moved(scene())[0], 1 / 16)]):
+        photo = taken(light, exposure, raw=raw, seed=k)
+        if raw:
+            exif = {33434: Fraction(exposure) / 60, 33437: Fraction(2), 34855: 100, 37385: 1}
+            paths.append(write_dng(folder / f"{k}.dng", mosaic(photo.pixels), exif=exif))
+        else:
+            paths.append(saved(folder / f"{k}.jpg", photo, exposure))
+    return paths
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_crop_and_mask_are_left_out_of_what_is_merged(tmp_path, raw):
+    """Left out before, it is mirrored, and RAW exposures did not align with it."""
+    paths, settings = written(tmp_path, raw=raw), CaptureSettings(preset="instant")
+    cropped = replace(settings, crop=Rectangle(40, 300, 480, 150))
+    whole, part = (read_exposures(paths, each, several=False) for each in (settings, cropped))
+    assert part.left_out is not None and part.headroom == whole.headroom
+    assert np.array_equal(part.pixels[~part.left_out], whole.pixels[~part.left_out])
+    with pytest.raises(UsageError, match="crop"):
+        read_exposures(paths, cropped, several=True)
+
+
+def test_few_texels_merge_raw_exposures_too(tmp_path):
+    """Too few to align by: exposures are aligned at more pixels than they are read at."""
+    paths, settings = written(tmp_path, raw=True), CaptureSettings(preset="instant", detail=160)
+    merged = read_exposures(paths, settings, several=False)
+    assert merged.pixels.shape == (120, 160, 3) and merged.noise is not None
+    assert merged.radiometric and merged.headroom == pytest.approx(16.0, rel=0.1)
 
 
 def test_metadata_decides_before_pixels_do(tmp_path):

@@ -322,6 +322,8 @@ def test_exemplars_are_blended_to_an_exemplar_that_the_command_writes(tmp_path, 
     assert set(middle.generators) == {"example"}
     wanted = interpolated(spots.exemplar, wall.exemplar, 0.5).rounded().stacked()
     assert np.array_equal(middle.part(Example).exemplar.stacked(), wanted)
+    assert main(["blend", str(a), str(b), "--generator", "decoder", "-o", str(out)]) == 2
+    assert "spots has no decoder" in capsys.readouterr().err
 
 
 def test_a_lattice_is_found_again_and_patches_keep_to_it():

@@ -505,7 +505,7 @@ def correction(material: Material, plane: Plane, seed: int) -> Correction:
 def _tuned(material: Material) -> TunedDecoder:
     tuned = material.part(TunedDecoder)
     if tuned is None:
-        raise lacking("decoder")
+        raise lacking(material.name, "decoder")
     return tuned
 
 
