@@ -11,9 +11,8 @@ mean of what the photographs measure there, weighted by the inverse of their var
 almost clipped values are left out, and what moved or is aligned wrongly: where a photograph
 deviates from the brightest unclipped one by more than _DEVIATES. Glints move with the camera: near
 clipped places the darker photograph is right there, as it alone shows all of them; its light is
-brought to the highlight of the longer one, by a smooth factor. White is that of the longest.
-
-In come photographs, out goes one that clips where the shortest exposure clips (Photo.headroom).
+brought to the highlight of the longer one, by a smooth factor. White is that of the longest, and
+the result clips where the shortest exposure does (Photo.headroom).
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -96,6 +96,16 @@ def find_brackets(paths: Sequence[Path], *, fov: float | None = None) -> list[tu
             else:
                 groups.append([number])
     return [tuple(paths[number] for number in group) for group in groups]
+
+
+def unmerged(groups: Sequence[Sequence[Path]]) -> list[tuple[Path, Path]]:
+    """First files of neighbouring groups (find_brackets) that state exposures of a bracket."""
+    stated = [(group[0], _stated(group[0])) for group in groups]
+    return [
+        (one, other)
+        for (one, own), (other, next_one) in pairwise(stated)
+        if own.exposure and next_one.exposure and _may_belong(own, next_one)
+    ]
 
 
 def _stated(path: Path) -> Exif:

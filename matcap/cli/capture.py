@@ -74,7 +74,7 @@ def capture(
     Writes the material (.matcap), a first map set (EXR), preview.png and report.json, and prints a
     verdict. Photographs from one place, a stop or more apart in exposure, make one material.
     """
-    from matcap.capture.bracket import find_brackets
+    from matcap.capture.bracket import MOST, find_brackets, unmerged
     from matcap.cli.display import CaptureDisplay
     from matcap.files.output import check_writable
     from matcap.files.process import keep_memory
@@ -89,10 +89,16 @@ def capture(
         )
     if settings.time_limit is not None:
         settings = within_time(settings, len(photos) if together else 1, slowness())
-    jobs = _jobs([tuple(photos)] if together else find_brackets(photos, fov=settings.fov), out)
+    samples = [tuple(photos)] if together else find_brackets(photos, fov=settings.fov)
+    jobs = _jobs(samples, out)
     check_writable(out, outputs.room)
     results = []
     with CaptureDisplay.open(quiet=quiet) as shown:
+        # More are a shoot of samples, each at an exposure of its own.
+        for one, other in unmerged(samples) if len(photos) <= MOST else ():
+            shown.note(
+                f"{other.name}: not merged with {one.name}, which shows another place or light"
+            )
         for job in jobs:
             # Time before the first photograph counts as the process's start.
             spent = time.process_time() if job is jobs[0] else 0.0

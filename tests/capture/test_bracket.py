@@ -20,6 +20,7 @@ from matcap.capture.bracket import (
     find_brackets,
     fine_bracket,
     merge_bracket,
+    unmerged,
     way_of_camera,
 )
 from matcap.capture.pipeline import read_exposures
@@ -270,6 +271,7 @@ def test_brackets_among_files_are_found(tmp_path, stated):
     ]
     found = find_brackets(paths)
     assert found == [(paths[0], paths[1]), (paths[2],), (paths[3],)]
+    assert unmerged(found) == [(paths[2], paths[3])] * stated
     assert find_brackets(paths[:1]) == [(paths[0],)]
 
 
