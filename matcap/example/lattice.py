@@ -16,9 +16,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.library import scramble
+from matcap.example.library import Integers, same_cells, scramble, turns_per_texel, whole_turns
 from matcap.field.plane import Period
-from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
 
 # Measurement of a lattice and its patches; docs/notes/field.md.
 _BINS = 24  # of a turn, for the search for joints

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.candidates import COST_BITS, SLOPES, Frame
-from matcap.example.library import Hashes, draw, hash_places
-from matcap.field.turns import Integers
+from matcap.example.library import Hashes, Integers, draw, hash_places
 
 # Placement of patches; docs/notes/field.md.
 # Of new files. Without a rule it is 1: the cost of centres, and no cost of reuse. By 2, patches do
