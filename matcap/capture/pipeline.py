@@ -224,7 +224,7 @@ def capture_photo(
     result = judge_material(rectified, material, settings, clock, estimate)
     if not effort.steps or result.status is RunStatus.INTERRUPTED:
         return result
-    from matcap.capture.both_generators import with_decoder
+    from matcap.capture.by_decoder import with_decoder
 
     return with_decoder(result, rectified, effort, clock)
 

@@ -49,7 +49,7 @@ class Tuning:
 
 @dataclass(frozen=True)
 class GeneratorChoice:
-    """The generator that makes a material's maps, of two, by measures (both_generators.py)."""
+    """The generator that makes a material's maps, of two, by measures (by_decoder.py)."""
 
     generator: Generator
     """The decoder where its distance is less by a fifth, else the exemplar."""

@@ -2,7 +2,7 @@
 
 In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. The network predicts
 maps (predict.py); relief is scaled to the energies that the photograph measures
-(relief_spectrum.py), and texels are classified (material_classes.py); mean parameters and albedo
+(relief_spectrum.py), and texels are classified (predict.py); mean parameters and albedo
 are refined until the maps re-render to the photograph (refine.py); hidden maps are inpainted
 (inpaint.py), fine detail and the exposure are added (detail_transfer.py, mean_parameters.py); the
 result is indexed for synthesis.
@@ -21,11 +21,16 @@ from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import find_mixture, tinted
 from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.observation import Observation, channel_weights
-from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
+from matcap.capture.exemplar.predict import (
+    NetworkPrediction,
+    exemplar_of,
+    find_mixture,
+    predict_maps,
+    tinted,
+)
 from matcap.capture.exemplar.refine import radiance_residual, refine_maps, refitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,

@@ -38,7 +38,7 @@ from matcap.flash.light import DARKEST, FlashLight
 # prior of materials: dielectrics have F0 near 0.04 (index of refraction 1.5) whatever their albedo,
 # which spans two orders of magnitude; metals have a high F0 and no diffuse albedo. So the ratio of
 # F0 to albedo, which a highlight measures, determines both: black leather with F0 three times its
-# albedo is black. Where texels are classified as metal or dielectric (material_classes.py), each
+# albedo is black. Where texels are classified as metal or dielectric (predict.py), each
 # part has the prior of its own class, and metal that of its colour: gold is brighter than steel.
 # See docs/notes/capture.md.
 

@@ -56,7 +56,7 @@ class PhotographLight:
     """(..., 1, 1) each: log parameters of the uniform material, which `residuals` are added to."""
     tint: Tensor | float = 1.0
     """(3, H, W) specular tint, F0 over the mean of its channels; 1 without metal
-    (material_classes.py). Residuals of F0 are those of its mean."""
+    (predict.py). Residuals of F0 are those of its mean."""
 
     @staticmethod
     def of(coarse: Uniform, points: Tensor) -> PhotographLight:

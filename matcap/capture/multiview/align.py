@@ -31,10 +31,11 @@ from matcap.capture.multiview.texels import (
     under_fitted_ambient,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, ShrunkPicture, ViewWarp
-from matcap.capture.registration.adjust import Pair, adjust
 from matcap.capture.registration.camera import (
     Doubles,
+    Pair,
     PosedCamera,
+    adjust,
     grid_points,
     to_pixels,
     transformed,

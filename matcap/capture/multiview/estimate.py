@@ -22,15 +22,13 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import Classes
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
 from matcap.capture.exemplar.observation import Observation
-from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
+from matcap.capture.exemplar.predict import Classes, NetworkPrediction, confidence_of, exemplar_of
 from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
-from matcap.capture.multiview.ambient_light import SLOW, without_ambient
 from matcap.capture.multiview.basis import with_basis
 from matcap.capture.multiview.mosaic import (
     Mosaic,
@@ -44,7 +42,7 @@ from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
 from matcap.capture.multiview.solve import ROUNDS, Solved, solve
 from matcap.capture.multiview.texels import Estimate
-from matcap.capture.multiview.views import ResampledView
+from matcap.capture.multiview.views import SLOW, ResampledView, without_ambient
 from matcap.capture.rectified import Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order

@@ -34,9 +34,15 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
-from matcap.capture.multiview.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
 from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import (
+    GRADIENT_DEVIATION,
+    UNIFORM_SKY,
+    ResampledView,
+    SharedLight,
+    Views,
+    light_at,
+)
 from matcap.capture.registration.camera import Doubles, camera_of, grid_points, transformed
 from matcap.capture.registration.keypoints import log_on_grid
 

@@ -23,7 +23,6 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.relief_spectrum import smoothed
-from matcap.capture.multiview.ambient_light import SLOW
 from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.shared import SAMPLED, shared_step
 from matcap.capture.multiview.surface import (
@@ -48,7 +47,7 @@ from matcap.capture.multiview.texels import (
     under_fitted_ambient,
     with_gloss,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import SLOW, ResampledView, SharedLight, light_at
 from matcap.flash.light import strips
 
 # Per-texel steps in each round; each begins with a fit of the shared parameters.

@@ -29,8 +29,13 @@ from matcap.brdf.cook_torrance import (
     SurfaceParameters,
 )
 from matcap.brdf.maps import MapSet, normals_from_height, normals_from_slopes
-from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import (
+    AmbientLight,
+    ResampledView,
+    SharedLight,
+    evenly_lit,
+    light_at,
+)
 from matcap.flash.geometry import OWN, Extent, plane_points
 from matcap.flash.light import DifferentiableLight, linearised, strips
 

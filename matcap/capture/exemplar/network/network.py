@@ -130,7 +130,7 @@ class NetworkAnswer:
     errors: ExpectedErrors
     """Their expected errors."""
     metal: Tensor
-    """(..., 1, H, W) logit of the share of metal in each texel (material_classes.py)."""
+    """(..., 1, H, W) logit of the share of metal in each texel (predict.py)."""
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
