@@ -13,22 +13,24 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.estimate import ExemplarEstimate, map_set_of
+from matcap.capture.multiview.set_report import draw_predicted, draw_set
+from matcap.capture.result import CaptureResult
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
+from matcap.flash.geometry import FlashSetup, points_of
+from matcap.flash.light import render_flash, render_rectified, shade
+from matcap.flash.rectify import picture_of
 from matcap.photo.checks import Rating, Region
 from matcap.photo.photo import standing
-
-if TYPE_CHECKING:
-    from matcap.brdf.maps import MapSet
-    from matcap.capture.exemplar.estimate import ExemplarEstimate
-    from matcap.capture.result import CaptureResult
-    from matcap.flash.geometry import FlashSetup
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
@@ -71,8 +73,6 @@ class Panel:
 
     def resized(self, size: tuple[int, int]) -> Image.Image:
         """The whole picture at a size of (width, height) pixels."""
-        import cv2
-
         if self.number:
             return self._written(size)
         way = cv2.INTER_AREA if size[0] <= self.values.shape[1] else cv2.INTER_NEAREST
@@ -86,8 +86,6 @@ class Panel:
 
     def enlarged(self, by: float) -> Panel:
         """The panel with `by` times as many pixels a side; its crop has the same middle."""
-        import cv2
-
         if self.number or by <= 1.0:
             return self
         close = self.values if self.close is None else self.close
@@ -163,8 +161,6 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     """Draw the sheet of a capture, RGB."""
     blocks = [block(list(panels(result)))]
     if result.estimate is not None:
-        from matcap.capture.exemplar.estimate import map_set_of
-
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
         if result.choice is not None:
@@ -178,8 +174,6 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         ]
         several = result.several
         if several is not None:
-            from matcap.capture.multiview.set_report import draw_predicted, draw_set
-
             maps = map_set_of(result.estimate.exemplar)
             if several.mosaic.margins.any:
                 whole = block(list(lit_panels(maps, result.rerendered, result.material.setup)))
@@ -239,8 +233,6 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
 
 def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """Panels of an exemplar, as panels()."""
-    from matcap.capture.exemplar.estimate import map_set_of
-
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
     whole, close = _under_flash(maps, setup)
@@ -253,11 +245,6 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
 
 def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
     """Panels of the decoder's field beside that by example, as panels(), at the same scale."""
-    import torch
-
-    from matcap.flash.light import render_rectified
-    from matcap.flash.rectify import picture_of
-
     with torch.inference_mode():
         rerendered = picture_of(render_rectified(maps, result.material.setup))
     photograph = _photograph(result)
@@ -344,13 +331,8 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
 
     Scaled to the mean radiance of the re-rendering, as this light has no exposure of its own.
     """
-    import torch
-
-    from matcap.flash.geometry import plane_points
-    from matcap.flash.light import shade
-
     width, height = maps.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of((height, width))
     if setup.turned:
         points *= width / height  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
@@ -372,15 +354,10 @@ def _under_flash(
     maps: MapSet, setup: FlashSetup
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Render maps with painted normals under the setup's flash: some texels, and the crop."""
-    import torch
-
-    from matcap.flash.geometry import plane_points
-    from matcap.flash.light import render_flash
-
     turned, setup = setup.turned, replace(setup, turned=False)
     landscape = maps.turned(1) if turned else maps
     width, height = landscape.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of((height, width))
     every = slice(None, None, max(1, width // _LIT))
 
     @torch.no_grad()

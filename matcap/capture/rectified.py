@@ -20,7 +20,7 @@ from matcap.capture.settings import DETAIL
 from matcap.field.source import one_thread
 from matcap.flash.alignment import tilt_measurement
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
-from matcap.flash.geometry import plane_points
+from matcap.flash.geometry import points_of
 from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.left_out import area_averaged, mirrored
@@ -215,7 +215,7 @@ def fill_masked(plane: Plane, uniform: Uniform) -> Plane:
     if plane.left_out is None:
         return plane
     width, height = plane.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of((height, width))
     size = tuple(max(2, -(-side // SUBSAMPLING)) for side in (height, width))
     light = FlashLight.of(uniform.setup, resized(points, size))
     flat = resized(uniform_radiance(uniform, light)[0], (height, width)).clamp_min(1e-6)

@@ -22,7 +22,7 @@ from matcap.capture.exemplar.network.network import NetworkInputs, network_input
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.files.color import srgb_slope
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.geometry import flash_mirror_point, plane_points
+from matcap.flash.geometry import flash_mirror_point, points_of
 from matcap.flash.light import (
     FlashLight,
     Uniform,
@@ -100,10 +100,8 @@ class PlaneLight:
 
     def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
-        width, height = self.size
-        top, bottom, step = rows.indices(height)
-        points = plane_points(0, top, width, bottom - top, self.size, dtype=torch.float32)
-        return PhotographLight.of(self.coarse, points[:, ::step, columns])
+        points = points_of(self.size[::-1], rows)
+        return PhotographLight.of(self.coarse, points[:, :: rows.step, columns])
 
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
         """Incident.log_radiance() of maps on their own relief, strip by strip."""
@@ -147,11 +145,9 @@ class Observation:
     @staticmethod
     def of(plane: Plane, coarse: CoarseFit) -> Observation:
         """Observation of a rectified photograph; texels below the noise become invalid."""
-        width, height = plane.size
-        points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
-        points = plane.extent.placed(points)
+        points = points_of(plane.size[::-1], extent=plane.extent)
         # Texels outside of the photograph are mirrored ones, and count as valid inputs.
-        own = torch.from_numpy(inside(plane.margins.inside_of((height, width)), coarse.setup))
+        own = torch.from_numpy(inside(plane.margins.inside_of(plane.size[::-1]), coarse.setup))
         mirrors = ~(plane.margins.padded(own) & plane.kept)
         inputs = network_inputs(plane.linear, plane.valid | mirrors, coarse, points)
         bright = lit(plane.linear)

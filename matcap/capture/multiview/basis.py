@@ -39,13 +39,13 @@ from matcap.capture.multiview.texels import (
     ParameterPrior,
     SharedMaterials,
     as_photographed,
-    points_of,
     robust_cost,
     stepped,
     with_gloss,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
+from matcap.flash.geometry import points_of
 from matcap.flash.light import Incident
 
 # Settings of the fit; docs/notes/several.md.

@@ -34,7 +34,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
-from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
+from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives
 from matcap.capture.multiview.views import (
     GRADIENT_DEVIATION,
     UNIFORM_SKY,
@@ -45,6 +45,7 @@ from matcap.capture.multiview.views import (
 )
 from matcap.capture.registration.camera import Doubles, camera_of, grid_points, transformed
 from matcap.capture.registration.keypoints import log_on_grid
+from matcap.flash.geometry import points_of
 
 Floats = NDArray[np.float32]
 

@@ -26,14 +26,13 @@ from matcap.capture.multiview.texels import (
     derivatives,
     log_rendered,
     normal_equations,
-    points_of,
     solved_in_place,
     weights,
     with_gloss,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight, by_vignetting, light_at
 from matcap.capture.registration.camera import Doubles
-from matcap.flash.geometry import OWN
+from matcap.flash.geometry import OWN, points_of
 from matcap.flash.light import DifferentiableLight
 
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision

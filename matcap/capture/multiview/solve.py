@@ -41,13 +41,13 @@ from matcap.capture.multiview.texels import (
     log_rendered,
     maps_of,
     parameters_of,
-    points_of,
     slopes_of,
     stepped,
     under_fitted_ambient,
     with_gloss,
 )
 from matcap.capture.multiview.views import SLOW, ResampledView, SharedLight, light_at
+from matcap.flash.geometry import points_of
 from matcap.flash.light import strips
 
 # Per-texel steps in each round; each begins with a fit of the shared parameters.

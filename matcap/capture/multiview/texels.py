@@ -36,7 +36,7 @@ from matcap.capture.multiview.views import (
     evenly_lit,
     light_at,
 )
-from matcap.flash.geometry import OWN, Extent, plane_points
+from matcap.flash.geometry import OWN, Extent, points_of
 from matcap.flash.light import DifferentiableLight, linearised, strips
 
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
@@ -285,16 +285,6 @@ def slopes_of(height: Tensor, texel_size: float) -> Tensor:
     """(2, H, W) slopes of a height (1, H, W), plane units, by central differences."""
     normal = normals_from_height(height, texel_size)
     return -normal[:2] / normal[2:]
-
-
-def points_of(
-    size: torch.Size | tuple[int, ...], rows: slice = slice(None), extent: Extent = OWN
-) -> Tensor:
-    """(3, h, w) plane points of a grid (height, width), or of some rows of it."""
-    height, width = size
-    top, bottom, _ = rows.indices(height)
-    points = plane_points(0, top, width, bottom - top, (width, height), dtype=torch.float32)
-    return extent.placed(points)
 
 
 def log_rendered(parameters: Tensor, lights: Sequence[DifferentiableLight]) -> list[Tensor]:

@@ -21,7 +21,7 @@ from matcap.capture.rectified import Rectified
 from matcap.example.example import Example, coarse_places, detail_bits
 from matcap.example.exemplar import Exemplar
 from matcap.field.plane import Rectangle
-from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
+from matcap.flash.geometry import FlashSetup, flash_mirror_point, points_of
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight, elongation, light_of
 from matcap.flash.light import FlashLight, cached_rows, strips
 from matcap.photo.checks import CAUSES, UNIFORM, Cause
@@ -181,14 +181,13 @@ def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.f
 
 def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
     """(H, W) radiance of a white matte plane: power (n.l) / pi."""
-    height, width = shape
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of(shape)
 
     def some(rows: slice) -> Tensor:
         light = FlashLight.of(setup, points[:, rows])
         return light.power.mean(0) * light.to_light[2] / math.pi
 
-    return torch.cat([some(rows) for rows in strips(height, cached_rows(width))]).numpy()
+    return torch.cat([some(rows) for rows in strips(shape[0], cached_rows(shape[1]))]).numpy()
 
 
 # Measurements on the maps of a capture themselves: highlight residue, steepness, confidence.
