@@ -290,8 +290,6 @@ def _at_resolution(rectified: Rectified, drawing: Drawing) -> Plane:
     return rectified.whole.shrunk(columns)
 
 
-# The choice between both generators.
-#
 # Windows of both fields, at the decoder's resolution, are rendered where the photograph's windows
 # are, and compared with these by texture statistics of random filters other than those that the
 # decoder is fine-tuned by.

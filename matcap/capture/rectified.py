@@ -42,9 +42,6 @@ class Method:
     """Whether the alignment branch's tilt is a prior of the coarse fit."""
 
 
-# The coarse fit with the alignment branch's tilt as a prior.
-
-
 @one_thread()
 def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = None) -> CoarseFit:
     """Coarse fit of a photograph, with the alignment branch's two tilt angles as Gaussian prior.

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from matcap.flash.geometry import FlashSetup
 
 
-# Writing the outputs of a capture into its folder, all or none.
-
 PREVIEW, REPORT = "preview.png", "report.json"
 
 

@@ -16,15 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.stated import NormalStyle
 from matcap.example.blend import (
+    ArraySource,
     Band,
     ExemplarBands,
     Votes,
     bands_of,
     blended,
     seam_correlations,
-    with_normals,
 )
 from matcap.example.candidates import Frame, PatchSizes, frame_of, level_count
 from matcap.example.coordinates import Places, coordinates, initial_places
@@ -33,15 +32,7 @@ from matcap.example.index import Index, Lookup, build_index, kept_lattice, prepa
 from matcap.example.lattice import GRID, Frequency
 from matcap.example.repeat import BLOCKS, RepeatedSource
 from matcap.field.header import opened
-from matcap.field.plane import (
-    RING,
-    Grid,
-    Period,
-    Rectangle,
-    check_period,
-    check_seed,
-    check_variety,
-)
+from matcap.field.plane import Grid, Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.settings import bounded
 
 if TYPE_CHECKING:
@@ -51,8 +42,6 @@ if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
 
 
-# The by-example generator: an exemplar with its index.
-#
 # Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
 # for the synthesis, and its maps are read at full resolution.
 
@@ -308,7 +297,7 @@ class Example:
 
 
 @dataclass(frozen=True)
-class ExampleSource:
+class ExampleSource(ArraySource):
     """The by-example field of one exemplar and seed; picklable."""
 
     example: Example
@@ -327,23 +316,9 @@ class ExampleSource:
         """Channels of F0: 1, or 3 where it has a colour."""
         return len(self.example.exemplar.specular)
 
-    @property
-    def device_type(self) -> str:
-        """Device that computes it."""
-        return "cpu"
-
-    def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
-        import torch
-
-        return torch.from_numpy(self._stacked(block))
-
-    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) maps and normal of a block."""
-        return with_normals(self._stacked(block), self.texel_size, normal)
-
-    def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
-        return self.example.maps(self.seed, block.grown(RING), self.period)
+    def around(self, area: Rectangle) -> NDArray[np.float32]:
+        """Stacked maps (6 or 8, height, width) of any area."""
+        return self.example.maps(self.seed, area, self.period)
 
 
 def patch_sizes(example: Example) -> PatchSizes:

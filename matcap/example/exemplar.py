@@ -52,8 +52,6 @@ def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDA
     return np.cumsum(values, axis=-1, dtype=kind)
 
 
-# Exemplar: the maps of the photographed rectangle, with a confidence per map and texel.
-#
 # NumPy only, so that the field by example needs no PyTorch.
 #
 # In a file every map is packed 16-bit numbers: half floats, but for height multiples of a power of

@@ -338,7 +338,6 @@ def _lattice(
 # A level is a grid of the field with a spacing of 2^level texels. Its neighbourhoods are compared
 # by the appearance of the exemplar smoothed to that spacing, sampled at half of it.
 
-# Tables of the synthesis; docs/notes/field.md.
 _ORDERED = 1  # first level at which phase errors have a cost
 # Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
 # 14, as much as a common seam.

@@ -137,8 +137,6 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     return total / 4.0
 
 
-# Material classes (dielectric, metal, or a mixture), and the specular tint of metal.
-
 # Specular tint of metal: F0 over the mean of its channels.
 #
 # Dielectrics have an achromatic F0. Metals have no diffuse albedo, so under a white flash their
@@ -213,7 +211,6 @@ def _mean(picture: Tensor) -> Tensor:
 # prediction: mean parameters to the radial profile around the mirror point (mean_parameters.py),
 # and each texel's class shares to its radiance under either.
 
-# Classification; docs/notes/gloss.md.
 # Slope of logit roughness on height, true over predicted (docs/notes/gloss.md).
 BY_HEIGHT = 2.5
 # Logit of metal per standard deviation of metal_score. Larger values follow the network's

@@ -140,9 +140,6 @@ def left_out_residual(
     return float((view.log - rendered)[view.seen].abs().nanmedian()), rendered
 
 
-# Report on several photographs of one sample: cameras, residuals, measured shares.
-
-
 @dataclass(frozen=True)
 class SetReport:
     """Result of a multi-view solve, by photograph."""

@@ -311,7 +311,6 @@ def _blocks(plane: BlockMeans) -> BlockMeans:
 
 SmoothLight = NDArray[np.float64]
 
-# Settings of the measurements; docs/notes/verdict.md.
 _RING_TERMS = 6  # piecewise linear terms in the distance from the centre
 # Quantile of the light above which texels are not fitted, as the highlight errs there.
 _BRIGHTEST = 0.7
