@@ -340,7 +340,6 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
     """The bracket of photographs, aligned to the first; None if they are none.
 
     Args:
-        photos: of the bracket.
         sampled: of single pixels, on a grid of at most _COLUMNS.
     """
     if not 2 <= len(photos) <= MOST:

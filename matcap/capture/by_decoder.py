@@ -57,7 +57,6 @@ def photograph_target(
 
     Args:
         rectified: the photograph, at the network's resolution.
-        method: has the weights.
         most: largest number of windows, or None.
     """
     plane, coarse = rectified.whole, rectified.coarse
@@ -94,10 +93,7 @@ def capture_by_decoder(
 
     Args:
         rectified: the photograph, at the network's resolution.
-        settings: of the user.
         effort: steps and windows that follow from the settings.
-        method: variant of the method.
-        clock: of the capture.
 
     Raises:
         MatcapError: the prior cannot be read.
@@ -221,7 +217,6 @@ def with_decoder(
         result: of a capture by example of one photograph.
         rectified: the photograph, lying.
         effort: steps and windows.
-        clock: of the capture.
     """
     try:
         tuned, tuning, target, plane = _tuned(result, rectified, effort, clock)

@@ -118,7 +118,11 @@ def capture_into(
 
 
 def capture_file(
-    path: str | Path, settings: CaptureSettings, others: Sequence[str | Path] = ()
+    path: str | Path,
+    settings: CaptureSettings,
+    progress: OnCapture | None = None,
+    others: Sequence[str | Path] = (),
+    clock: CaptureClock | None = None,
 ) -> CaptureResult:
     """Capture the file of a photograph, with `others` of the same sample.
 
@@ -129,7 +133,7 @@ def capture_file(
     paths = [Path(path), *map(Path, others)]
     check_photographs(settings, len(paths))  # before anything is read
     groups = find_brackets(paths, fov=settings.fov)
-    return _captured(groups, settings, clock_of(settings, None, len(groups)))
+    return _captured(groups, settings, clock or clock_of(settings, progress, len(groups)))
 
 
 def read_exposures(paths: Sequence[Path], settings: CaptureSettings, *, several: bool) -> Photo:

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import ExemplarEstimate, map_set_of
+from matcap.capture.exemplar.estimate import ExemplarEstimate
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview.set_report import draw_predicted, draw_set
 from matcap.capture.result import CaptureResult
 from matcap.files.color import srgb_picture

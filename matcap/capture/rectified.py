@@ -49,7 +49,6 @@ def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = 
     Albedo is absolute where the flash intensity is known.
 
     Args:
-        photo: the photograph.
         measured: whether to use the alignment branch.
         metal: whether the material is metal; None to decide by the photograph.
     """
@@ -207,7 +206,6 @@ def fill_masked(plane: Plane, uniform: Uniform) -> Plane:
 
     Args:
         plane: the photograph; returned unchanged without masked texels.
-        uniform: its coarse fit.
     """
     if plane.left_out is None:
         return plane

@@ -57,7 +57,6 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     Args:
         result: of capture_photo.
         folder: created if missing; its name is that of the material and the maps.
-        settings: what to write.
 
     Returns:
         Path of the .matcap file.
@@ -126,7 +125,7 @@ def _write_piece(
     estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
     """Write the exemplar's maps and their confidence, in [0, 1] per map and texel."""
-    from matcap.capture.exemplar.estimate import map_set_of
+    from matcap.capture.exemplar.predict import map_set_of
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}

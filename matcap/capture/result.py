@@ -152,10 +152,7 @@ def judge_material(
     """Re-render a material under its photograph's flash, measure the differences and rate them.
 
     Args:
-        rectified: the photograph.
         material: what was captured.
-        settings: of the user.
-        clock: of the capture.
         estimate: the exemplar, if one was estimated; upright, as the material is if it is turned.
         tuning: the course of fine-tuning, if a decoder was.
     """

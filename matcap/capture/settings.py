@@ -509,7 +509,6 @@ class CaptureClock:
         """Start the clock.
 
         Args:
-            on_progress: callback, or None.
             stages: names in order, each with its share of the time.
             limit: seconds for the whole command, or None.
             spent: seconds that the command has taken before.

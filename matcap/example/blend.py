@@ -134,7 +134,6 @@ def seam_correlations(bands: Sequence[Band], places: Places, step: int) -> tuple
     machine. 1 for the last band, which is no texture.
 
     Args:
-        bands: of the exemplar.
         places: (rows, columns, 2) of the field, `step` texels apart.
         step: texels.
     """
@@ -242,7 +241,6 @@ class Votes:
         """Nodes of a band.
 
         Args:
-            band: index of the band.
             area: texels.
             period: of the field, or None.
             bits: log2 of the step of the grid of places, texels.
@@ -326,7 +324,6 @@ def blended(
     """(6 or 8, height, width) stacked maps of an area, blended; see the module's equations.
 
     Args:
-        shown: the exemplar.
         area: in texels.
         own: places of the grid squares that the area overlaps.
         votes: nodes of every band, and Votes.predicted of them.

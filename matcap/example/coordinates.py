@@ -301,7 +301,6 @@ def coordinates(
     """Synthesise places of some levels.
 
     Args:
-        lookup: of the exemplar.
         seed: in [-2^63, 2^63).
         wanted: by level the area to return, in steps of 2^level texels.
         period: of the field, multiples of 2^(levels - 1) texels, or None.
@@ -465,7 +464,6 @@ def _refine(coarse: Places, given: Rectangle, level: Level, area: Rectangle) -> 
     Args:
         coarse: places of the area `given`.
         given: in steps of the coarser level.
-        level: the finer level.
         area: to return, in steps of the finer level.
     """
     left, top = area.x - 2 * given.x, area.y - 2 * given.y

@@ -204,7 +204,6 @@ class Example:
         """The example of what stored() returned.
 
         Args:
-            about: the description.
             tensor: returns the bytes of a name.
 
         Raises:
@@ -403,7 +402,6 @@ def coarse_places(example: Example, seed: int, level: int, area: Rectangle) -> P
     """(height, width, 2) int16: x, y of the exemplar at each square's upper left texel.
 
     Args:
-        example: the indexed exemplar.
         seed: in [-2^63, 2^63).
         level: squares are 2^level texels wide; at least detail_bits of the exemplar.
         area: in squares.
@@ -444,7 +442,6 @@ def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
     """Read the exemplar of a `.matcap` file, or None if it has none.
 
     Args:
-        path: of the file.
         entry: "example", or "drawing" for the exemplar that a decoder draws from.
 
     Raises:
@@ -459,13 +456,10 @@ def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
 
 
 def read(about: Mapping[str, Any], file: Any, path: Path, by_example: object) -> Example | None:  # noqa: ANN401
-    """Read the exemplar of an opened material's file, or None if it has none.
+    """Read the exemplar of an opened material's file, or None; `by_example` is unused.
 
     Args:
-        about: the file's JSON description.
         file: opened for NumPy or for PyTorch.
-        path: of the file.
-        by_example: unused.
 
     Raises:
         SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.

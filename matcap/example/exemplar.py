@@ -185,7 +185,6 @@ class Exemplar:
         """The exemplar of what stored() returned.
 
         Args:
-            about: the description.
             tensor: returns the bytes of a map's name.
 
         Raises:

@@ -121,7 +121,6 @@ class Index:
         """The index of what stored() returned.
 
         Args:
-            about: the description.
             tensor: returns the bytes of a name.
             size: (width, height) of the exemplar's grid of places.
 
@@ -439,7 +438,6 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
 
     Args:
         exemplar: on its grid of places.
-        index: of the exemplar.
         variety: in [0, 1].
     """
     part = index.part or Frame.of(*exemplar.size)

@@ -128,7 +128,6 @@ class PhasedLattice:
         """(..., len(waves)) phases of the field's ideal lattice at (x, y).
 
         Args:
-            seed: of the lattice's random offset.
             x, y: texels, of shapes that broadcast.
             period: of the field; each wave is replaced by the nearest one that repeats in it.
         """
@@ -200,8 +199,6 @@ def cells_of(
     A lattice of one wave is cut across as well (_two).
 
     Args:
-        lattice: of the exemplar.
-        seed: of the lattice's random offset.
         x, y: columns (N,) and rows (M,) of texels.
         period: of the field.
         cells: size of a patch, texels.

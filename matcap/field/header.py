@@ -40,7 +40,6 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     Errors raised inside the context that mean damaged data become a MatcapError.
 
     Args:
-        path: of the file.
         framework: of the tensors that the handle returns, "pt" or "np".
 
     Raises:

@@ -135,7 +135,6 @@ def elongation(light: Luminance, highlight: Highlight) -> float:
 
     Args:
         light: (h, w) the linear picture.
-        highlight: found in it.
     """
     blur = min(_ELONGATION_BLUR, 0.3 * highlight.width)
     blurred = _blur(light, blur * light.shape[1] / 2.0)

@@ -208,9 +208,7 @@ def linearised(
     coloured F0, the lobe is that of its mean.
 
     Args:
-        light: at the texels.
         normal: (3, H, W) unit normals.
-        surface: reflectance.
     """
     incident, lobe, slanted = light.log_gradient(
         normal, surface.specular.mean(0, keepdim=True), surface.roughness
@@ -336,7 +334,6 @@ def uniform_radiance(
     """Radiance (..., 3, H, W) of the uniform material under its flash, and its diffuse part.
 
     Args:
-        uniform: the material and its setup.
         light: of that setup, at (3, H, W) points.
         slopes: (dh/dx, dh/dy), (..., 1, H, W) each; flat by default.
         duller: added to the logit of roughness.

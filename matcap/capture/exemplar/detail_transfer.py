@@ -51,7 +51,6 @@ def transfer_detail(
 
     Args:
         exemplar: estimated at a lower resolution; returned unchanged if it has the plane's.
-        plane: the photograph.
         coarse: its coarse fit, which has the light.
         copies: texels that were copied from others, as their finest bands are, too.
     """

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
-from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.brdf.maps import CHANNELS
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
@@ -147,8 +147,6 @@ def estimate_exemplar(
 
     Args:
         rectified: the photograph on its plane.
-        network: the inverse network (network/network.py).
-        clock: of the stages.
         known: what is known of its means, so that no prior is used.
         turned: whether the photograph is a portrait.
     """
@@ -299,9 +297,3 @@ def classified(
     gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
     constrained = classes.constrained(prediction.residuals, gloss)
     return observed, replace(prediction, residuals=constrained, classes=classes)
-
-
-def map_set_of(exemplar: Exemplar) -> MapSet:
-    """An exemplar's maps as a map set."""
-    stacked = torch.from_numpy(exemplar.stacked())
-    return MapSet.from_stacked(stacked, exemplar.texel_size)

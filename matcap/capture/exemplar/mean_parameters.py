@@ -224,7 +224,6 @@ class RingTarget:
         """The photograph around its mirror point, with a surface.
 
         Args:
-            observed: the photograph.
             residuals: log parameters of the surface less those of the coarse fit.
             metal: whether each of its classes is metal.
         """
@@ -336,7 +335,6 @@ def fit_mean_parameters(
     """(K, 5) mean parameters fitted to the ring means, and their mean absolute log residual.
 
     Args:
-        target: the photograph.
         shares: (K, H, W) share of each class in each texel; they sum to 1.
         start: (K, 5) initial values.
         prior: of the result.

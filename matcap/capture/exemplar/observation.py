@@ -216,7 +216,6 @@ def channel_noise(plane: Plane, tone: ToneCurve | None = None) -> Tensor:
     a texel's own darkness.
 
     Args:
-        plane: the photograph.
         tone: the tone curve that was undone, or None; d log y / d log light = exponent (1 - w y).
     """
     tone = tone or ToneCurve()

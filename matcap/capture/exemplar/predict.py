@@ -96,6 +96,11 @@ def with_confidence(maps: MapSet, confidence: NDArray[np.float32]) -> Exemplar:
     )
 
 
+def map_set_of(exemplar: Exemplar) -> MapSet:
+    """An exemplar's maps as a map set."""
+    return MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+
+
 def confidence_of(
     errors: ExpectedErrors, seen: NDArray[np.float32], unit: float
 ) -> NDArray[np.float32]:
@@ -409,7 +414,6 @@ def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
     """(1, H, W) log odds of metal by the likelihood of the radiance alone.
 
     Args:
-        target: the photograph.
         theta: (2, 5) mean parameters of the classes.
     """
     observed = target.linear.clamp_min(DARKEST).log()

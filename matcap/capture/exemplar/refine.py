@@ -52,7 +52,6 @@ from matcap.brdf.cook_torrance import (
     ROUGHNESS_LIMITS,
     SurfaceParameters,
 )
-from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
@@ -61,7 +60,7 @@ from matcap.capture.exemplar.mean_parameters import (
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
 from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
-from matcap.capture.exemplar.predict import NetworkPrediction
+from matcap.capture.exemplar.predict import NetworkPrediction, map_set_of
 from matcap.capture.exemplar.relief_spectrum import (
     WIDE,
     BandEnergies,
@@ -122,8 +121,6 @@ def refine_maps(
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph.
 
     Args:
-        observed: the photograph.
-        prediction: its maps.
         spectrum: measured in the photograph, or None.
     """
     plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
@@ -203,7 +200,6 @@ def _fitted_mean_parameters(
     """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
 
     Args:
-        observed: the photograph.
         prediction: the maps with their classes.
         texels: short side of the grid of the fit, at least.
     """
@@ -232,12 +228,11 @@ def refitted_to_highlight(
 
     Args:
         exemplar: the inpainted maps.
-        observed: their photograph.
         metal: (H, W) share of metal in each texel.
     """
     if observed.plane.encoding.limit <= 1.0:
         return exemplar
-    maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+    maps = map_set_of(exemplar)
     residuals = observed.light.residuals(maps)
     target = replace(
         RingTarget.of(observed, residuals, (bool(metal.any()),)),
@@ -348,10 +343,8 @@ def refine_albedo(
 
     Args:
         residuals: of the exemplar from the coarse fit.
-        errors: expected errors of the prediction.
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, visible and not clipped.
-        light: the photograph's own.
         metal: (1, H, W) share of metal in each texel.
         noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
     """
@@ -467,7 +460,6 @@ def scaled_by_glints(
         residuals: of the exemplar from the coarse fit.
         linear: (3, H, W) the photograph on the plane's grid.
         measured: (3, H, W) bool: not clipped.
-        light: the photograph's own.
         noise: (3, H, W) standard deviation of log radiance.
         spectrum: measured in the photograph, or None.
     """

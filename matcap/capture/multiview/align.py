@@ -199,12 +199,9 @@ def _initial(
     """(PARAMETERS, H, W) parameters of a grid, after Gauss-Newton steps.
 
     Args:
-        views: photographs on the grid.
         coarser: parameters of the coarser grid to start from; None to start from the prior mean,
             under a light that is fitted to it.
-        prior: of the parameters.
         light: of the photographs.
-        steps: number of steps.
     """
     if coarser is not None:
         parameters = F.interpolate(coarser[None], size=prior.mean.shape[1:], mode="bilinear")[0]

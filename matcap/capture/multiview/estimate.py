@@ -20,12 +20,18 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
-from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
+from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, refined
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
 from matcap.capture.exemplar.observation import Observation
-from matcap.capture.exemplar.predict import Classes, NetworkPrediction, confidence_of, exemplar_of
+from matcap.capture.exemplar.predict import (
+    Classes,
+    NetworkPrediction,
+    confidence_of,
+    exemplar_of,
+    map_set_of,
+)
 from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed

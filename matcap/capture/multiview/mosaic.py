@@ -188,7 +188,6 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
     """(h, w) whether plane points (3, h, w) project into a picture, at less than an angle.
 
     Args:
-        camera: of the picture.
         points: with z = 0, plane units.
         up: height of the picture over its width.
         steepest: largest angle of a ray to the plane's normal, degrees.
@@ -268,7 +267,6 @@ def predicted_beyond(
     Args:
         alignment: registration and light of the photographs.
         first: the first one's prediction, extrapolated over the mosaic (spread_over).
-        mosaic: its extent.
         coarse: fit of the first, whose mean material all share.
         predict: predicts the maps of one photograph on its own plane.
     """
@@ -319,8 +317,6 @@ def resampled(
 
     Args:
         prediction: the network's, on its photograph's plane.
-        own: frame of its plane (own_plane).
-        alignment: registration of the photographs.
         number: of the photograph.
         size: (across, down) texels of the grid.
     """

@@ -146,7 +146,6 @@ class Ratio:
         Args:
             views: the first with flash, the last without.
             parameters: (PARAMETERS, H, W) current; F0, roughness and mean albedo are used.
-            light: of all photographs.
         """
         first, last, size = views[0], views[-1], parameters.shape[1:]
         points = points_of(size, extent=first.extent)

@@ -102,7 +102,6 @@ def leave_one_out(
     fitted to it.
 
     Args:
-        alignment: registration of the photographs.
         solved: solution by all, whose light is the initial value.
         prediction: its prior.
         alone: maps by the first photograph.

@@ -109,7 +109,6 @@ def shared_step(
     Args:
         views: photographs on the grid; the first one's registration is fixed.
         parameters: (PARAMETERS, H, W) current estimate.
-        prior: of the parameters.
         light: current estimate.
         sampled: texels to which the parameters are fitted.
         moved: indices of photographs to register; the others get the identity.

@@ -356,10 +356,7 @@ def stepped(
     """A Gauss-Newton step at every texel, and the jackknife changes of some parameters.
 
     Args:
-        views: photographs on the grid.
         parameters: (PARAMETERS, H, W) current estimate.
-        prior: of the parameters.
-        light: of all photographs.
         slopes: whether slopes move; if not, their precision is 0.
         changed: parameters whose changes without each photograph are computed; None for none.
     """

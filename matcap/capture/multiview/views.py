@@ -322,10 +322,8 @@ class ResampledView:
         """Resample a registered photograph to a grid of (down, across) texels.
 
         Args:
-            view: the photograph.
             picture: its pixels, for as many texels across.
             across, down: texels.
-            warp: map to plane points.
         """
         finer = FINER if view.photo.pixels.shape[1] >= FINER * across else 1
         size = picture.linear.shape[1::-1]

@@ -107,7 +107,6 @@ def camera_of(points: Doubles, image: Doubles, lens: Lens, *, refined: bool = Fa
     Args:
         points: with z = 0, plane units.
         image: where it sees them.
-        lens: its lens.
         refined: whether to minimise the reprojection error by Levenberg-Marquardt.
     """
     # OpenCV's camera looks along +z with y downwards.

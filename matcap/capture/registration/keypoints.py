@@ -325,7 +325,6 @@ def log_on_grid(
 
     Args:
         photo: the photograph; the mean of its channels is looked up.
-        camera: its camera.
         size: (across, down) texels of the grid.
         wide: pixels across to which the photograph is averaged before.
         darkest: radiance below which the logarithm is clamped.

@@ -128,7 +128,6 @@ def highlight_profile(
             alike.
         seen: (H, W) bool, inside of the photograph.
         measured: (H, W) bool, `seen` and not clipped.
-        setup: camera and flash.
         limit: radiance at which the pictures are clipped.
     """
     lights = [channel_mean(picture) for picture in pictures]
@@ -230,8 +229,6 @@ class ExemplarMeasurements:
         """Measure an exemplar.
 
         Args:
-            estimate: the exemplar.
-            rectified: its photograph.
             setup: camera and flash, in the orientation of the exemplar.
             seed: of its field; None if a decoder makes the field.
         """
@@ -330,8 +327,6 @@ def measure_causes(
     Args:
         smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
         pictures: (H, W, 3) both, unfiltered.
-        highlights: of both.
-        exemplar: measurements on the exemplar.
     """
     light, model = (each.mean(axis=2) for each in smooth)
     side = _brightest_side(light)

@@ -113,8 +113,6 @@ def measure_capture(
     """Measure the differences between a photograph and its re-rendering.
 
     Args:
-        photo: the photograph.
-        setup: its fitted camera and flash.
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under that flash, linear.
         valid: (H, W) bool, visible and not clipped.
@@ -306,7 +304,6 @@ def texture_difference(plane: Plane, rendering: Tensor) -> tuple[float, dict[str
     """Texture distance of a rendering, relative to that between parts of the photograph.
 
     Args:
-        plane: the photograph.
         rendering: (3, H, W) linear.
 
     Returns:

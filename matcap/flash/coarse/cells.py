@@ -85,7 +85,6 @@ def log_radiance(
     """(3, n) log radiance of the uniform material, and (n,) its diffuse share under a white flash.
 
     Args:
-        unknowns: the parameters.
         image: (2, n) image coordinates.
         distance: of the camera, plane units.
         conductor: `albedo` is F0, and hardly anything is diffuse.

@@ -13,7 +13,7 @@ from photographed import Photographed, photographed
 
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import estimate_exemplar, map_set_of
+from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
 from matcap.capture.exemplar.observation import (
     Observation,
@@ -21,6 +21,7 @@ from matcap.capture.exemplar.observation import (
     channel_weights,
     code_step,
 )
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.exemplar.refine import (
     flatten,
     radiance_residual,

@@ -320,7 +320,6 @@ def network_inputs(
     Args:
         linear: (3, H, W) scene-linear radiance.
         valid: (H, W) bool, visible and not clipped.
-        uniform: the coarse fit.
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
