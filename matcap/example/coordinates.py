@@ -228,7 +228,6 @@ def _fitting(
     sides: tuple[int, int],
 ) -> tuple[Integers, Integers]:
     """For every hash, the random place of least placement cost, border mismatch and reuse."""
-    wrap = frame.right - frame.left + 1, frame.bottom - frame.top + 1
     tried = [drawn(hashes, attempt, frame) for attempt in range(placement.fitted)]
     x, y = (np.stack(each) for each in zip(*tried, strict=True))
     cost = placement.at(x, y).astype(np.int64)
@@ -238,7 +237,7 @@ def _fitting(
         if placement.near:
             in_field = -other.step[0] * sides[0], -other.step[1] * sides[1]
             shift = x - other.x, y - other.y
-            cost += reuse_cost(shift, in_field, sides, placement.near, wrap)
+            cost += reuse_cost(shift, in_field, sides, placement.near, frame.size)
     best = cost.argmin(axis=0)[None]
     best_x, best_y = (np.take_along_axis(each, best, axis=0)[0] for each in (x, y))
     return best_x, best_y
@@ -365,7 +364,7 @@ def initial_places(
     else:
         along_x, along_y = period or (None, None)
         frame, sizes = lookup.joined, lookup.sizes
-        wide, high = frame.right - frame.left + 1, frame.bottom - frame.top + 1
+        wide, high = frame.size
         if sizes.whole:
             axes = Axis.of(x, wide, along_x).alike(), Axis.of(y, high, along_y).alike()
         else:

@@ -154,9 +154,9 @@ class Exemplar:
         unit, low = _height_coding(self.height)
         return replace(
             self,
-            diffuse=_half(self.diffuse).astype(np.float32),
-            specular=_half(self.specular).astype(np.float32),
-            roughness=_half(self.roughness).astype(np.float32),
+            diffuse=self.diffuse.astype(np.float16).astype(np.float32),
+            specular=self.specular.astype(np.float16).astype(np.float32),
+            roughness=self.roughness.astype(np.float16).astype(np.float32),
             height=_height(_height_codes(self.height, unit, low), unit, low),
             confidence=_confidence(_confidence_codes(self.confidence)),
         )
@@ -165,7 +165,7 @@ class Exemplar:
         """Tensors (bytes, by map), and a description for JSON; the inverse of read()."""
         unit, low = _height_coding(self.height)
         tensors = {
-            name: pack(_half(getattr(self, name)).view(np.uint16))
+            name: pack(getattr(self, name).astype(np.float16).view(np.uint16))
             for name in CHANNELS
             if name != "height"
         }
@@ -224,10 +224,6 @@ class Exemplar:
 def _check_size(width: int, height: int) -> None:
     if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
         raise ValueError(f"an exemplar of {width} x {height} texels")
-
-
-def _half(values: Floats) -> NDArray[np.float16]:
-    return values.astype(np.float16)
 
 
 def _height_coding(height: Floats) -> tuple[float, int]:

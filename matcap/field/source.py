@@ -52,7 +52,7 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
 
     with ThreadPoolExecutor(workers, initializer=prepare) as pool:
         for _ in range(workers):
-            pool.submit(_nothing)
+            pool.submit(int)  # an empty task, so that the pool starts a thread
         ready.wait()
         torch.set_num_threads(threads)
         yield pool
@@ -79,10 +79,6 @@ def compute_alone() -> None:
     torch = sys.modules.get("torch")
     if torch is not None:
         torch.set_num_threads(1)
-
-
-def _nothing() -> None:
-    """Empty task, submitted so that the pool starts a thread."""
 
 
 # Protocols of generators, and of the sources that blocks of a field are read from.

@@ -23,9 +23,9 @@ from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.network.network import SUBSAMPLING
-from matcap.capture.exemplar.observation import AROUND, PlaneLight
 from matcap.capture.exemplar.predict import with_confidence
 from matcap.capture.exemplar.relief_spectrum import smoothed, split
+from matcap.capture.rectified import AROUND, PlaneLight
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST, Uniform
 from matcap.flash.rectify import Plane

@@ -23,7 +23,6 @@ from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import Inverse
-from matcap.capture.exemplar.observation import Observation, channel_weights
 from matcap.capture.exemplar.predict import (
     NetworkPrediction,
     exemplar_of,
@@ -40,7 +39,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     measure_relief_spectrum,
     smoothed,
 )
-from matcap.capture.rectified import Rectified
+from matcap.capture.rectified import Observation, Rectified, channel_weights
 from matcap.capture.settings import CaptureClock
 from matcap.example.candidates import Frame
 from matcap.example.example import Example

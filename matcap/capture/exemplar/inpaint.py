@@ -23,8 +23,8 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import Reflectance
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR
-from matcap.capture.exemplar.observation import Observation, PhotographLight
 from matcap.capture.exemplar.predict import map_set_of
+from matcap.capture.rectified import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight

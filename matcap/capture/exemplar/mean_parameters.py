@@ -24,7 +24,7 @@ from matcap.brdf.cook_torrance import (
     SurfaceParameters,
 )
 from matcap.brdf.maps import normals_from_height
-from matcap.capture.exemplar.observation import Observation
+from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE

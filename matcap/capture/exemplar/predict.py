@@ -1,6 +1,6 @@
 """Stage network: the network's prediction of the maps, with errors, confidence and classes.
 
-In comes an observation (observation.py), out go residuals of log parameters from the coarse fit
+In comes an observation (rectified.py), out go residuals of log parameters from the coarse fit
 (network/network.py), averaged over four shifts, their expected errors e, and the confidence
 
     visibility * blur(exp(-e / unit)).
@@ -31,8 +31,8 @@ from matcap.capture.exemplar.mean_parameters import (
     how_metallic,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, NetworkAnswer
-from matcap.capture.exemplar.observation import Observation, seen_share
 from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
+from matcap.capture.rectified import Observation, seen_share
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse.problem import Gaussian
 from matcap.flash.light import DARKEST
@@ -73,8 +73,8 @@ def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, 
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
         observed = tinted(observed, classes.metal_share)
-    mixed = has_metal(answer.metal) and not observed.coarse.by_hand
-    logit = answer.metal if mixed else None
+    some = float((answer.metal > 0.0).float().mean()) > _LEAST_SHARE
+    logit = answer.metal if some and not observed.coarse.by_hand else None
     return observed, NetworkPrediction(answer.residuals, answer.errors, confidence, logit, classes)
 
 
@@ -174,11 +174,6 @@ def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
     bright = counted.mean(-3, keepdim=True)
     whole = (counted * bright).sum((-2, -1), keepdim=True) + 1e-6
     return whole / whole.mean(-3, keepdim=True)
-
-
-def has_metal(logit: Tensor) -> bool:
-    """Whether the network's logit of metal (1, H, W) predicts more than hardly any."""
-    return float((logit > 0.0).float().mean()) > _LEAST_SHARE
 
 
 def specular_tint(metal: Tensor, colour: Tensor) -> Tensor:

@@ -59,7 +59,6 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
 from matcap.capture.exemplar.predict import NetworkPrediction, map_set_of
 from matcap.capture.exemplar.relief_spectrum import (
     WIDE,
@@ -70,6 +69,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
+from matcap.capture.rectified import Observation, PhotographLight, channel_weights
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST

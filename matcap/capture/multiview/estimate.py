@@ -24,7 +24,6 @@ from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, refined
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
-from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import (
     Classes,
     NetworkPrediction,
@@ -49,7 +48,7 @@ from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_on
 from matcap.capture.multiview.solve import ROUNDS, Solved, solve
 from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import SLOW, ResampledView, without_ambient
-from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.rectified import Observation, Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
 from matcap.capture.settings import CaptureClock, RunStatus

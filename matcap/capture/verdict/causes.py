@@ -354,7 +354,9 @@ def by_place(difference: SmoothLight) -> SmoothLight:
     distance from the centre: light varies so, texture hardly does.
     """
     terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
-    return np.einsum("n,nhw->hw", _coefficients(difference, terms), terms)
+    flat = terms.reshape(len(terms), -1)
+    coefficients = np.linalg.lstsq(flat.T, difference.ravel(), rcond=1e-9)[0]
+    return np.einsum("n,nhw->hw", np.asarray(coefficients, np.float64), terms)
 
 
 def _brightest_side(light: SmoothLight) -> float:
@@ -405,9 +407,3 @@ def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:
     """Offsets of columns (1, w) and rows (h, 1) from the centre; the long side is 1."""
     down, across = ((np.arange(side) + 0.5 - side / 2.0) / max(shape) for side in shape)
     return across[None, :], down[:, None]
-
-
-def _coefficients(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
-    """(n,) coefficients of the least-squares fit of terms (n, h, w) to a plane (h, w)."""
-    flat = terms.reshape(len(terms), -1)
-    return np.asarray(np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0], np.float64)

@@ -13,8 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.observation import code_step
-from matcap.capture.rectified import FEATURES, WINDOW
+from matcap.capture.rectified import FEATURES, WINDOW, code_step
 from matcap.capture.verdict.causes import (
     UNSEEN,
     ExemplarMeasurements,
