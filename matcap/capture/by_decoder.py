@@ -317,9 +317,8 @@ def choose(
         for name, maps in fields.items()
     }
     # With fewer texels the decoder would lose detail, which windows at its resolution do not show.
-    nearer = (
-        by_example.size == by_decoder.size and _BIAS * distances["decoder"] < distances["example"]
-    )
+    as_fine = by_example.size == by_decoder.size
+    nearer = as_fine and _BIAS * distances["decoder"] < distances["example"]
     return GeneratorChoice("decoder" if nearer else "example", distances, by_decoder)
 
 

@@ -311,10 +311,8 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     if result.status is RunStatus.INTERRUPTED:
         yield "Interrupted: this is the best so far; run it again for a better result."
     # The verdict checks the flash by the light; a warning is due if the metadata deny it.
-    keys = (
-        ("flash", "clipped", "tilt") if result.photo.flash_fired is False else ("clipped", "tilt")
-    )
-    shot = (result.measurements.photograph[key] for key in keys)
+    denied = ("flash",) if result.photo.flash_fired is False else ()
+    shot = (result.measurements.photograph[key] for key in (*denied, "clipped", "tilt"))
     yield from (finding.line() for finding in shot if finding.rating is not Rating.GOOD)
     if result.several is not None:
         yield from _set_warnings(result.several, union=result.settings.union)

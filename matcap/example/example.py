@@ -131,9 +131,8 @@ class Example:
 
         from matcap.brdf.maps import MapSet
 
-        return MapSet.from_stacked(
-            torch.from_numpy(self.exemplar.stacked()), self.exemplar.texel_size
-        )
+        stacked = torch.from_numpy(self.exemplar.stacked())
+        return MapSet.from_stacked(stacked, self.exemplar.texel_size)
 
     def source(
         self, seed: int, period: Period | None = None, device: torch.device | None = None
@@ -175,9 +174,8 @@ class Example:
         rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
         within = lattice and lattice.cropped(box.x >> bits, box.y >> bits)
         maps = exemplar.stacked()[:, rows, columns]
-        return RepeatedSource(
-            repeated(maps, exemplar.texel_size, within, bits).maps, exemplar.texel_size
-        )
+        tile = repeated(maps, exemplar.texel_size, within, bits)
+        return RepeatedSource(tile.maps, exemplar.texel_size)
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors, and a description for JSON; the inverse of read()."""
@@ -238,9 +236,7 @@ class Example:
         """
         lookup, shown = self._ready.lookup, self._ready.shown
         own, levels = area.coarser(shown.bits), len(lookup.levels)
-        votes = [
-            Votes.of(band, area, period, shown.bits, levels) for band in range(len(shown.bands))
-        ]
+        votes = [Votes.of(k, area, period, shown.bits, levels) for k in range(len(shown.bands))]
         read = {0: own}
         for one in votes:
             read[one.level] = read.get(one.level, one.wanted).united(one.wanted)

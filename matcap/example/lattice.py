@@ -268,9 +268,8 @@ def measure_lattice(
     if not measured or any(one is None for one in measured):
         return None
     fitted = [one for one in measured if one is not None]
-    lattice = PhasedLattice(
-        tuple(wave for wave, _ in fitted), np.stack([bend for _, bend in fitted])
-    )
+    own, bends = zip(*fitted, strict=True)
+    lattice = PhasedLattice(own, np.stack(bends))
     repeats = [_repeats(planes, period) for period in lattice.periods().T / 256.0]
     if not all(repeats):
         kept = tuple(wave for wave, one in zip(waves, repeats, strict=True) if one)

@@ -311,9 +311,8 @@ def _usual_line(maps: Floats, axis: int) -> int:
     """
     steps = np.abs(np.roll(maps, -1, axis) - maps).mean(axis=3 - axis)
     usual = steps.mean(axis=1, keepdims=True)
-    worst = (steps / np.maximum(usual, 1e-6 * np.abs(maps).max(axis=(1, 2))[:, None] + 1e-12)).max(
-        0
-    )
+    least = 1e-6 * np.abs(maps).max(axis=(1, 2))[:, None] + 1e-12
+    worst = (steps / np.maximum(usual, least)).max(0)
     reach = len(worst) // 2
     # Step i is between lines i and i + 1, the last one that across the border.
     distance = np.abs(np.arange(-1 - reach, reach) + 1)
@@ -326,9 +325,8 @@ def _usual_line(maps: Floats, axis: int) -> int:
 
 def _seen(maps: Floats, texel_size: float) -> Planes:
     """(7, H, W) planes that copies are compared by: all but height, in standard deviations."""
-    planes = planes_of_maps(
-        (maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]), texel_size
-    )
+    parts = maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]
+    planes = planes_of_maps(parts, texel_size)
     scale = choose_scale(planes)
     factors = scale.factors / np.float32(UNIT)
     return ((planes - scale.offsets[:, None, None]) * factors[:, None, None])[:-1]

@@ -22,15 +22,7 @@ FORMAT = "matcap-material"
 VERSION, VERSIONS = 5, (5, 6)  # of the file; 6 has two generators
 REMEDY = "capture the photograph again, or fetch the file again"
 # Exceptions that reading malformed JSON values can raise.
-DAMAGED = (
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
+DAMAGED = (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
 @contextmanager

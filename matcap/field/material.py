@@ -254,9 +254,8 @@ class Material:
             generators: dict[Generator, FieldGenerator] = {}
             for name in (name for name in GENERATORS if name in about):
                 by_example = generators.get("example")
-                generators[name] = import_module(GENERATORS[name]).read(
-                    about, file, path, by_example
-                )
+                reader = import_module(GENERATORS[name])
+                generators[name] = reader.read(about, file, path, by_example)
             if not generators:
                 raise ValueError("nothing in it makes maps")
             return Material(

@@ -264,9 +264,8 @@ def remaining_highlight(
         area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
     )
     surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
-    rings = [
-        _z_scores(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _RING_WIDTH)
-    ]
+    inner = range(0, _WIDEST, _RING_WIDTH)
+    rings = [_z_scores(total, share, surroundings, distances, each) for each in inner]
     centre = np.unravel_index(int(distances.argmin()), distances.shape)
     radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
     discs = np.nan_to_num(rings[0])

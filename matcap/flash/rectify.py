@@ -200,9 +200,8 @@ class Plane:
         noise = None if self.noise is None else mean(self.noise)
         left_out = None if self.left_out is None else ~whole(~self.left_out[None])[0]
         shrunk = plane_of(linear, valid, noise, self.encoding.limit)
-        return replace(
-            shrunk, channels=whole(self.measured), left_out=left_out, developed=self.developed
-        )
+        channels = whole(self.measured)
+        return replace(shrunk, channels=channels, left_out=left_out, developed=self.developed)
 
     def over(self, margins: Margins, known: Tensor) -> Plane:
         """The plane padded to the grid of a mosaic, invalid beyond its own texels.

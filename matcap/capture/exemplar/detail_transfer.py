@@ -216,9 +216,8 @@ def _relief(exemplar: Exemplar, detail: Floats, maps: MapSet, light: PlaneLight)
         ratio**k * min(1.0, octaves - k + 1.0) for k in range(1, math.ceil(octaves) + 1)
     )
     some = slice(None, None, SUBSAMPLING)
-    reflectance = Reflectance(
-        *(p[:, some, some] for p in (maps.diffuse, maps.specular, maps.roughness))
-    )
+    planes = maps.diffuse, maps.specular, maps.roughness
+    reflectance = Reflectance(*(p[:, some, some] for p in planes))
     sensitivity = light.cut(some, some).slope_sensitivity(reflectance).square().sum(0).mean()
     most = _RELIEF_AT_MOST * float(np.square(detail).mean()) / max(0.5 * float(sensitivity), 1e-6)
     drawn = max(_steepness(detail), 1e-12)

@@ -195,9 +195,8 @@ def refined(
         observed, prediction = predict_maps(bounded, network)
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
-        observed, prediction = classified(
-            observed, scaled_to_spectrum(observed, prediction, spectrum)
-        )
+        prediction = scaled_to_spectrum(observed, prediction, spectrum)
+        observed, prediction = classified(observed, prediction)
     with clock.stage("refine"):
         prediction = refine_maps(observed, prediction, spectrum)
     return observed, prediction, spectrum

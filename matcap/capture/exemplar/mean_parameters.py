@@ -295,10 +295,8 @@ class RingTarget:
         surfaces = []
         for of_class, tint in zip(theta, self.tints, strict=True):
             surface = self.surface + SurfaceParameters.from_vector(of_class)
-            specular, roughness = surface.specular.exp() * tint, torch.sigmoid(surface.roughness)
-            surfaces.append(
-                Reflectance(surface.diffuse.exp() * one, specular * one, roughness * one)
-            )
+            f0, roughness = surface.specular.exp() * tint, torch.sigmoid(surface.roughness)
+            surfaces.append(Reflectance(surface.diffuse.exp() * one, f0 * one, roughness * one))
         return surfaces
 
 

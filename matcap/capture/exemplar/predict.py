@@ -66,9 +66,8 @@ class NetworkPrediction:
 def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
     """Predict the maps; the observation's light gets the specular tint of metal."""
     answer = NetworkAnswer.from_stacked(_shift_averaged(network, observed.inputs.stacked()))
-    confidence = confidence_of(
-        answer.errors, seen_share(observed.plane.measured), observed.plane.unit
-    )
+    seen = seen_share(observed.plane.measured)
+    confidence = confidence_of(answer.errors, seen, observed.plane.unit)
     confidence[0] *= 1.0 - observed.specular_fraction
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:

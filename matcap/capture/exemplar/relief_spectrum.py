@@ -290,9 +290,8 @@ def _responses(
     for cut in cuts:
         weight = counts * use[cut]
         d, (x, y) = matte[cut], sensitivity[(slice(None), *cut)]
-        responses.append(
-            [(weight * v).sum() / weight.sum() for v in (d * d, x, y, x * x, x * y, y * y)]
-        )
+        total, products = weight.sum(), (d * d, x, y, x * x, x * y, y * y)
+        responses.append([(weight * product).sum() / total for product in products])
     return np.array(responses, np.float64)
 
 
@@ -545,9 +544,8 @@ class BandEnergies:
     @staticmethod
     def of(height: Height, spectrum: ReliefSpectrum) -> BandEnergies:
         """Squared slopes of a height (H, W) in texels, and those measured in the photograph."""
-        return BandEnergies(
-            slope_energies(height), np.square(spectrum.slope).sum(1), spectrum.deviation
-        )
+        measured = np.square(spectrum.slope).sum(1)
+        return BandEnergies(slope_energies(height), measured, spectrum.deviation)
 
 
 def posterior_factors(*energies: BandEnergies) -> Doubles:

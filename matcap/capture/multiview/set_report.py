@@ -107,10 +107,8 @@ def leave_one_out(
         alone: maps by the first photograph.
         begun: its light, as its coarse fit has it.
     """
-    extent = alignment.extent
-    small, own, by_all = (
-        each.coarser(_ACROSS, extent) for each in (prediction, alone, solved.estimate)
-    )
+    estimates = prediction, alone, solved.estimate
+    small, own, by_all = (each.coarser(_ACROSS, alignment.extent) for each in estimates)
     views, whole = alignment.on_grid(*small.maps.size), replace(solved, estimate=by_all)
     lit = [number for number, view in enumerate(views) if view.flash]
     if len(lit) < 2:

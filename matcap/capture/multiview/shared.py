@@ -265,10 +265,8 @@ class _Equations:
         solved = solved_in_place(system).nan_to_num(0.0, 0.0, 0.0)
         coupling = self.texels[PARAMETERS + 1 :].movedim(1, 0)
         eliminated = (coupling.double() @ solved.double().mT).sum(0)
-        matrix, right = (
-            self.shared[:, :-1] - eliminated[:, 1:],
-            self.shared[:, -1] - eliminated[:, 0],
-        )
+        matrix = self.shared[:, :-1] - eliminated[:, 1:]
+        right = self.shared[:, -1] - eliminated[:, 0]
         return matrix, right, solved[:, 0], solved[:, 1:]
 
 
@@ -362,9 +360,8 @@ class _SharedFit:
             return torch.stack(columns), indices
         columns += [*torch.eye(3)[..., None].expand(-1, -1, log.shape[-1])]
         columns += [*-self.by_move[number][:, :, 0]] if self.by_move else []
-        return torch.stack(columns), torch.cat(
-            [indices, index.gain[number - 1], index.move[number - 1]]
-        )
+        indices = torch.cat([indices, index.gain[number - 1], index.move[number - 1]])
+        return torch.stack(columns), indices
 
 
 def _homography(move: Tensor) -> Doubles:

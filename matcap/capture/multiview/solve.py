@@ -173,9 +173,8 @@ class _Iterate:
         light, _ = shared_step(views, parameters, free, self.light, sampled)
         parameters = with_gloss(parameters, self.prior.shares, light.gloss - self.light.gloss)
         step = replace(self.step, parameters=parameters)
-        return replace(
-            self, views=views, light=light, widened=widened.with_gloss_of(light), step=step
-        )
+        widened = widened.with_gloss_of(light)
+        return replace(self, views=views, light=light, widened=widened, step=step)
 
     def stepped(self, *, jackknife: bool) -> _Iterate:
         """A Gauss-Newton step of all texels."""

@@ -177,10 +177,8 @@ def _seen_from(view: RegisteredView, ambient: RegisteredView) -> Picture:
     height, width = ambient.photo.pixels.shape[:2]
     places = to_pixels(ambient.camera.sees(view.camera.on_plane(image)), width, height)
     x, y = (cv2.resize(each, (columns, rows), interpolation=cv2.INTER_LINEAR) for each in places)
-    pixels = cv2.remap(
-        ambient.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(pixels, np.float32)
+    seen = cv2.remap(ambient.photo.pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, np.float32)
 
 
 RAW_FALLOFF = (1e-3, 1e-3)  # prior standard deviations of the vignetting of RAW photographs

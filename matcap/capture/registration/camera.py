@@ -71,9 +71,8 @@ class PosedCamera:
     def of(setup: FlashSetup, distortion: tuple[float, float] = (0.0, 0.0)) -> PosedCamera:
         """The first photograph's camera, which defines the plane frame; with its (k1, k2)."""
         place, _ = camera_in_plane(setup)
-        return PosedCamera(
-            setup_rotation(setup).numpy(), place.numpy(), Lens(setup.distance, distortion)
-        )
+        turn, lens = setup_rotation(setup).numpy(), Lens(setup.distance, distortion)
+        return PosedCamera(turn, place.numpy(), lens)
 
     def sees(self, points: Points) -> Points:
         """(2, ...) image coordinates of points (3, ...), as precise; NaN behind the camera."""
@@ -136,12 +135,9 @@ def to_pixels(
     image: NDArray[np.float64], columns: int, rows: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Columns and rows of image coordinates (2, ...) for cv2.remap; -1e6 for NaN."""
-    x = (image[0] + 1.0) * columns / 2.0 - 0.5
-    y = (rows - image[1] * columns) / 2.0 - 0.5
-    return (
-        np.nan_to_num(x, nan=-1e6).astype(np.float32),
-        np.nan_to_num(y, nan=-1e6).astype(np.float32),
-    )
+    x = np.nan_to_num((image[0] + 1.0) * columns / 2.0 - 0.5, nan=-1e6)
+    y = np.nan_to_num((rows - image[1] * columns) / 2.0 - 0.5, nan=-1e6)
+    return x.astype(np.float32), y.astype(np.float32)
 
 
 def transformed(homography: Points, points: Points) -> Points:
@@ -285,9 +281,7 @@ class _Bundle:
         """Cost of parameters (5 + 6 pairs,)."""
         values = parameters.numpy()
         prior = float(np.square((values[:_COMMON] - self.prior) / self.deviation).sum()) / 2.0
-        return prior + sum(
-            _huber(self.residuals(pair, values[block]))[0] for pair, block in self.blocks
-        )
+        return prior + sum(_huber(self.residuals(pair, values[at]))[0] for pair, at in self.blocks)
 
     def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Its Gauss-Newton Hessian and gradient."""

@@ -251,9 +251,8 @@ def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[floa
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
     """
     rows, columns = seen[0][0].pixels.shape[:2]
-    (texture, inside), *others = (
-        _texture(*each, round(_COMPARED * rows / columns)) for each in seen
-    )
+    down = round(_COMPARED * rows / columns)
+    (texture, inside), *others = (_texture(*each, down) for each in seen)
 
     def correlation(other: ChannelPlane, both: NDArray[np.bool_], x: int, y: int) -> float:
         a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]

@@ -138,16 +138,12 @@ def highlight_profile(
     ]
     if not all(ring.any() for ring in rings):
         return None
-    profiles = np.array(
-        [[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings]
-    )
+    profiles = np.array([[one[ring].sum() / matte[ring].sum() for one in lights] for ring in rings])
     profiles = np.maximum(profiles, _DARKEST)  # a ring may be black
     profiles /= profiles[-1]
     reach = _reach(profiles[:, 0])
     region = seen & measured & (lights[1] < limit) & (distance < reach)
-    glints = (
-        [_octaves(each, region) for each in lights] if region.mean() >= LEAST_SHARE else [[], []]
-    )
+    glints = [_octaves(one, region) for one in lights] if region.mean() >= LEAST_SHARE else [[], []]
     return HighlightProfile(
         tuple((float(before), float(after)) for before, after in profiles),
         tuple(float((~measured[ring]).mean()) for ring in rings),

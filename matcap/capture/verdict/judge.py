@@ -259,9 +259,7 @@ def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
     """
     if not visible(before) and not visible(after):
         return math.nan
-    first, second = (
-        FAINTEST_HIGHLIGHT if each is None else each.contrast for each in (before, after)
-    )
+    first, second = (FAINTEST_HIGHLIGHT if one is None else one.contrast for one in (before, after))
     return second / first
 
 

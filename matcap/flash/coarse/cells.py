@@ -115,9 +115,8 @@ def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
     normal, camera, light = _places(unknowns, distance)
     height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
     foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
-    point = (foot_camera * height_light + foot_light * height_camera) / (
-        height_camera + height_light
-    )
+    point = foot_camera * height_light + foot_light * height_camera
+    point = point / (height_camera + height_light)
     return point[:2] * (distance / (distance - point[2]))
 
 
@@ -249,6 +248,5 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
         kept = torch.from_numpy(share < MOST_LEFT_OUT).double()
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
-    return CoarseCells(
-        torch.from_numpy(image), flat(np.log(small + toe)), flat(toe), flat(above), weight
-    )
+    log = flat(np.log(small + toe))
+    return CoarseCells(torch.from_numpy(image), log, flat(toe), flat(above), weight)
