@@ -477,9 +477,8 @@ def _refined(
         usable = strength > _LEAST_CORRELATION
         if usable.sum() < _LEAST_TILES:
             return warp, 0
-        change, kept = cv2.findHomography(
-            middles[usable], (middles + shifts)[usable], cv2.RANSAC, _INLIER
-        )
+        before, after = middles[usable], (middles + shifts)[usable]
+        change, kept = cv2.findHomography(before, after, cv2.RANSAC, _INLIER)
         if change is None:
             return warp, 0
         warp, count = warp @ change, int(kept.sum())

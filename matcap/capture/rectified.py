@@ -363,9 +363,8 @@ class Observation:
         shown = (plane.measured | mirrors) & bright
         plane = replace(plane, valid=plane.valid & bright, channels=plane.measured & bright)
         light = PhotographLight.of(coarse, points)
-        return Observation(
-            plane, coarse, points, shown, ~mirrors, inputs, light, channel_noise(plane, coarse.tone)
-        )
+        noise = channel_noise(plane, coarse.tone)
+        return Observation(plane, coarse, points, shown, ~mirrors, inputs, light, noise)
 
     def below_white(self) -> Observation:
         """The same picture of less albedo and F0 under more light, if its white were above 1.

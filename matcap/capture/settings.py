@@ -180,9 +180,7 @@ class CaptureSettings(CheckedSettings):
         for name in ("white", "generator", *_BY_HAND):
             if document[name] is None:
                 del document[name]
-        document |= {
-            name: part and str(part) for name, part in (("crop", self.crop), ("mask", self.mask))
-        }
+        document |= {"crop": self.crop and str(self.crop), "mask": self.mask and str(self.mask)}
         unsaid = {"crop", "mask", "union"}
         return {name: value for name, value in document.items() if value or name not in unsaid}
 

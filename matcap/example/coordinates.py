@@ -175,10 +175,8 @@ def lay_patches(
         for step in _SIDES if placement.rule < 3 else _SIDES + _CORNERS:
             if any(abs(by) > is_odd for by, is_odd in zip(step, odd, strict=True)):
                 continue  # even along this axis: not fitted along it
-            there = np.ix_(
-                _moved(rows, some_rows, down, step[1]),
-                _moved(columns, some_columns, across, step[0]),
-            )
+            other_rows = _moved(rows, some_rows, down, step[1])
+            there = np.ix_(other_rows, _moved(columns, some_columns, across, step[0]))
             neighbours.append(_Neighbour(step, x[there], y[there]))
         x[at], y[at] = _fitting(level, placement, hashes[at], frame, neighbours, sides)
 
@@ -368,10 +366,8 @@ def initial_places(
         if sizes.whole:
             axes = Axis.of(x, wide, along_x).alike(), Axis.of(y, high, along_y).alike()
         else:
-            axes = (
-                Axis.of(x, min(sizes.width, wide), along_x),
-                Axis.of(y, min(sizes.height, high), along_y),
-            )
+            wide, high = min(sizes.width, wide), min(sizes.height, high)
+            axes = Axis.of(x, wide, along_x), Axis.of(y, high, along_y)
         place_x, place_y = lay_patches(level, lookup.placement, depth, seed, frame, axes)
     return _clamped(np.stack([place_x, place_y], axis=-1), level.frame)
 
@@ -393,9 +389,8 @@ def _loose(
             for at, along in zip((x, y), period or (None, None), strict=True)
         )
         centres = spread_patches(placement, seed, depth, within, (columns, rows))
-        shown = np.ix_(
-            np.searchsorted(rows.numbers, y // side), np.searchsorted(columns.numbers, x // side)
-        )
+        down = np.searchsorted(rows.numbers, y // side)
+        shown = np.ix_(down, np.searchsorted(columns.numbers, x // side))
         best_x, best_y = (at[shown] for at in centres)
     return best_x + x % side - side // 2, best_y + (y % side - side // 2)[:, None]
 

@@ -106,9 +106,8 @@ class Example:
         if not level_count(*(part or Frame.of(*coarse.size)).size):
             raise ValueError(f"an exemplar of {exemplar.size} texels")
         scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
-        return Example(
-            exemplar, build_index(coarse, scaled, straight=straight, part=part, one_light=one_light)
-        )
+        index = build_index(coarse, scaled, straight=straight, part=part, one_light=one_light)
+        return Example(exemplar, index)
 
     @property
     def alignment(self) -> int:
@@ -210,9 +209,8 @@ class Example:
         exemplar = Exemplar.read(about["exemplar"], lambda name: tensor(f"exemplar.{name}"))
         bits = detail_bits(exemplar)
         width, height = exemplar.size
-        index = Index.read(
-            about["index"], lambda name: tensor(f"index.{name}"), (width >> bits, height >> bits)
-        )
+        size = width >> bits, height >> bits
+        index = Index.read(about["index"], lambda name: tensor(f"index.{name}"), size)
         return Example(exemplar, index, bounded(about.get("variety", 1.0), "variety", 0.0, 1.0))
 
     def varied(self, variety: float | None) -> Example:
@@ -343,11 +341,9 @@ def _seam_correlations(lookup: Lookup, bands: tuple[Band, ...]) -> tuple[float, 
 
 def _coarser(period: Period | None, bits: int) -> Period | None:
     """A period in steps of 2^bits texels."""
-    return (
-        None
-        if period is None
-        else (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
-    )
+    if period is None:
+        return None
+    return period[0] and period[0] >> bits, period[1] and period[1] >> bits
 
 
 def known_part(exemplar: Exemplar, multiple: int, part: Frame | None = None) -> Rectangle:

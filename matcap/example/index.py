@@ -267,9 +267,8 @@ def _low_confidence(exemplar: Exemplar) -> NDArray[np.float64]:
     from 0 at c = min(q - slack, h) to its maximum over the next (doubted - slack), q and h the
     quantiles `trusted` and `free` of c. So the better half of the exemplar has no penalty.
     """
-    means = _square_means(
-        np.exp(np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64))
-    )
+    logs = np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64)
+    means = _square_means(np.exp(logs))
     # Quantiles are over places that the photograph shows.
     known = means[means > 1.5 * _LEAST_TRUST]
     most, half = np.quantile(known if known.size else means, (_TRUSTED, _FREE))

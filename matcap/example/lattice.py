@@ -283,9 +283,8 @@ def _repeats(planes: NDArray[np.floating], period: NDArray[np.float64]) -> bool:
     high, wide = planes.shape[1:]
 
     def alike(x: int, y: int) -> float:
-        rows, columns = (
-            np.arange(max(0, -by), side - max(0, by), 4) for by, side in ((y, high), (x, wide))
-        )
+        sides = (y, high), (x, wide)
+        rows, columns = (np.arange(max(0, -by), side - max(0, by), 4) for by, side in sides)
         if not (rows.size and columns.size):
             return 0.0
         here = planes[:, rows[:, None], columns]

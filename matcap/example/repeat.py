@@ -78,18 +78,14 @@ def _less_class_medians(plane: Floats, classes: tuple[NDArray[np.bool_], ...]) -
 
 def _slow(plane: Floats) -> Floats:
     """(H, W) low frequencies of a plane, of zero mean."""
-    parts = [
-        [part for part in np.array_split(np.arange(side), _CELLS) if part.size]
-        for side in plane.shape
-    ]
+    split = (np.array_split(np.arange(side), _CELLS) for side in plane.shape)
+    parts = [[part for part in some if part.size] for some in split]
     rows, columns = parts
     medians = np.array(
         [[np.median(plane[r[0] : r[-1] + 1, c[0] : c[-1] + 1]) for c in columns] for r in rows]
     )
-    middles = [
-        [(part.mean() + 0.5) / side for part in some]
-        for some, side in zip(parts, plane.shape, strict=True)
-    ]
+    sided = zip(parts, plane.shape, strict=True)
+    middles = [[(part.mean() + 0.5) / side for part in some] for some, side in sided]
     down, across = (_waves(np.array(some)) for some in middles)
     amounts = np.linalg.pinv(down) @ medians @ np.linalg.pinv(across).T
     ends = [_waves((np.arange(side) + 0.5) / side) for side in plane.shape]

@@ -45,9 +45,8 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)
             if not digest_matches(path, file.metadata()):
-                raise MatcapError.at(
-                    path, "the file is damaged: its content does not match its digest", REMEDY
-                )
+                what = "the file is damaged: its content does not match its digest"
+                raise MatcapError.at(path, what, REMEDY)
             yield file, about
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(path, "this is not a material, or it is damaged", REMEDY) from error

@@ -228,11 +228,8 @@ class Shortcut(nn.Module):
 
 def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
     """Two 3 x 3 convolutions with a shortcut."""
-    layers = [
-        *convolution(inputs, outputs, 3, stride),
-        nn.ReLU(inplace=True),
-        *convolution(outputs, outputs, 3),
-    ]
+    first, second = convolution(inputs, outputs, 3, stride), convolution(outputs, outputs, 3)
+    layers = [*first, nn.ReLU(inplace=True), *second]
     return Shortcut(layers, inputs, outputs, stride)
 
 

@@ -313,7 +313,6 @@ def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
     """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
     radius = np.hypot(*np.ogrid[-outer : outer + 1, -outer : outer + 1])
     ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
-    sums, counts = (
-        cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
-    )
+    border = cv2.BORDER_CONSTANT
+    sums, counts = (cv2.filter2D(each, -1, ring, borderType=border) for each in (total, share))
     return np.where(counts > _INSIDE * ring.sum(), sums / np.maximum(counts, 1e-6), np.nan)

@@ -210,9 +210,8 @@ def linearised(
     Args:
         normal: (3, H, W) unit normals.
     """
-    incident, lobe, slanted = light.log_gradient(
-        normal, surface.specular.mean(0, keepdim=True), surface.roughness
-    )
+    grey = surface.specular.mean(0, keepdim=True)
+    incident, lobe, slanted = light.log_gradient(normal, grey, surface.roughness)
     log, share = incident.log_radiance(surface)
     others = (1.0 - share) * lobe[:, None]
     others[2:] += slanted[:, None]

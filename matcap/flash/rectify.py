@@ -77,10 +77,8 @@ def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
     """(H, W) bool, texels inside of the picture; `rectify` mirrors the others at its border."""
     height, width = shape
     column, row = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)[:, None]
-    x, y, w = (
-        a * column + (b * row + c)
-        for a, b, c in _homography(setup, (width, height), (width, height))
-    )
+    homography = _homography(setup, (width, height), (width, height))
+    x, y, w = (a * column + (b * row + c) for a, b, c in homography)
     return (x > -0.5 * w) & (x < (width - 0.5) * w) & (y > -0.5 * w) & (y < (height - 0.5) * w)
 
 

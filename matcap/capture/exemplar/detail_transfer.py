@@ -212,9 +212,8 @@ def _relief(exemplar: Exemplar, detail: Floats, maps: MapSet, light: PlaneLight)
     energies = [_steepness(np.sum(bands[which], axis=0)) for which in _OCTAVES]
     ratio = energies[2] / max(energies[1], 1e-12)
     ratio = min(ratio, 1.0)
-    wanted = energies[2] * sum(
-        ratio**k * min(1.0, octaves - k + 1.0) for k in range(1, math.ceil(octaves) + 1)
-    )
+    each = range(1, math.ceil(octaves) + 1)
+    wanted = energies[2] * sum(ratio**k * min(1.0, octaves - k + 1.0) for k in each)
     some = slice(None, None, SUBSAMPLING)
     planes = maps.diffuse, maps.specular, maps.roughness
     reflectance = Reflectance(*(p[:, some, some] for p in planes))

@@ -150,9 +150,8 @@ def estimate_exemplar(
         turned: whether the photograph is a portrait.
     """
     whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
-    observed, prediction, spectrum = refined(
-        plane, rectified.coarse, network, clock, bound=not known.absolute
-    )
+    bound = not known.absolute
+    observed, prediction, spectrum = refined(plane, rectified.coarse, network, clock, bound=bound)
     coarse = observed.coarse
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)

@@ -91,9 +91,8 @@ class Copies:
         from_rows = rows + np.rint(by[0] * enlarged(down)[rows, columns]).astype(np.int64)
         from_columns = columns + np.rint(by[1] * enlarged(right)[rows, columns]).astype(np.int64)
         copied = planes.copy()
-        copied[:, rows, columns] = planes[
-            :, from_rows.clip(0, height - 1), from_columns.clip(0, width - 1)
-        ]
+        source = from_rows.clip(0, height - 1), from_columns.clip(0, width - 1)
+        copied[:, rows, columns] = planes[:, *source]
         return copied
 
 

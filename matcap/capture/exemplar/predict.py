@@ -131,9 +131,8 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     whole = whole.contiguous(memory_format=torch.channels_last)
     total: Tensor | float = 0.0
     for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        rows, columns = (
-            -(-(n + by) // multiple) * multiple for n, by in ((height, down), (width, across))
-        )
+        needed = height + down, width + across
+        rows, columns = (-(-side // multiple) * multiple for side in needed)
         part = whole[:, :, 1 - down :, 1 - across :][..., :rows, :columns]
         answer: Tensor = network(part.contiguous(memory_format=torch.channels_last))
         total = answer[0, :, down : down + height, across : across + width] + total

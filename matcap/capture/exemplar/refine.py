@@ -207,13 +207,11 @@ def _fitted_mean_parameters(
     target = RingTarget.of(observed, prediction.residuals, classes.metal)
     step = max(1, min(target.distance.shape) // texels)
     shares = classes.shares[:, ::step, ::step]
-    deviation = torch.tensor(
-        [_METAL_DEVIATIONS if metal else _DIELECTRIC_DEVIATIONS for metal in classes.metal]
-    )
+    deviations = _DIELECTRIC_DEVIATIONS, _METAL_DEVIATIONS
+    deviation = torch.tensor([deviations[metal] for metal in classes.metal])
     start = torch.zeros_like(classes.mean_parameters)
-    return fit_mean_parameters(
-        target.thinned(texels), shares, start, MeanParameterPrior(start, deviation)
-    )
+    prior = MeanParameterPrior(start, deviation)
+    return fit_mean_parameters(target.thinned(texels), shares, start, prior)
 
 
 @torch.no_grad()

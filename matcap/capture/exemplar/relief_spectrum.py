@@ -252,9 +252,7 @@ def measure_relief_spectrum(
     energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
     albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
-    return ReliefSpectrum(
-        albedo=np.sqrt(albedo), slope=np.sqrt(slope), deviation=np.sqrt(np.square(error).sum(1))
-    )
+    return ReliefSpectrum(np.sqrt(albedo), np.sqrt(slope), np.sqrt(np.square(error).sum(1)))
 
 
 def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:

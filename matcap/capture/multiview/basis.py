@@ -470,7 +470,6 @@ def _lobes(views: Sequence[ResampledView], light: SharedLight) -> list[Tensor]:
 def _cell_means(reflected: Tensor, share: Tensor) -> Tensor:
     """(n, 3, h, w) means over the texels of a material in each cell, NaN without enough of them."""
     weight = share * ~reflected.isnan().any(1, keepdim=True)
-    mean, count = (
-        functional.avg_pool2d(each, _CELL) for each in (reflected.nan_to_num(0.0) * weight, weight)
-    )
+    sums = reflected.nan_to_num(0.0) * weight, weight
+    mean, count = (functional.avg_pool2d(each, _CELL) for each in sums)
     return (mean / count.clamp_min(1e-6)).where(count > 0.2, torch.nan)

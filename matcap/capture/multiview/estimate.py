@@ -217,10 +217,8 @@ def _solved(
     (across, down), coarser, share = prior.maps.size, None, 0.0
     if alignment.extent.unit(across) >= 2 * _COARSE:
         share, size = _COARSE_SHARE, (round(across / 2), round(down / 2))
-        small, progress = (
-            prior.resized(size[::-1], alignment.extent),
-            clock.callback("solve", 0.0, share),
-        )
+        small = prior.resized(size[::-1], alignment.extent)
+        progress = clock.callback("solve", 0.0, share)
         coarser = solve(alignment.on_grid(*size), small, alignment.light, on_progress=progress)
         alignment = replace(alignment, relief=coarser.maps.height[0].numpy(), light=coarser.light)
     views, rounds = alignment.on_grid(across, down), ROUNDS if coarser is None else _FINER

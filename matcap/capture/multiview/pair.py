@@ -197,9 +197,8 @@ def with_ambient_gradient(
     weight: Doubles = np.ones_like(measured)
     for _ in range(8):
         normal = (terms * weight) @ terms.T
-        fitted = np.linalg.solve(
-            normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * measured)
-        )
+        damped = normal + 1e-9 * np.trace(normal) * np.eye(4)
+        fitted = np.linalg.solve(damped, terms @ (weight * measured))
         weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * measured.mean()))
     linear, squared = slice(1, 3), 3  # of the terms
     relief = max(float(fitted[squared]), 1e-9)

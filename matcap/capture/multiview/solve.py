@@ -180,9 +180,8 @@ class _Iterate:
         """A Gauss-Newton step of all texels."""
         changed = SLOPES if jackknife else None
         parameters = self.step.parameters
-        return replace(
-            self, step=stepped(self.views, parameters, self.widened, self.light, changed=changed)
-        )
+        step = stepped(self.views, parameters, self.widened, self.light, changed=changed)
+        return replace(self, step=step)
 
     def high_passed(self) -> _Iterate:
         """End a round: remove low frequencies of slopes."""
@@ -320,10 +319,8 @@ def _continued(prior_mean: Tensor, prior: MapSet, coarser: Solved) -> Tensor:
     small = functional.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
     coarse = MapSet.from_stacked(small, coarser.maps.texel_size)
     change = parameters_of(coarser.maps) - parameters_of(coarse)
-    return (
-        prior_mean
-        + functional.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
-    )
+    wide = functional.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
+    return prior_mean + wide
 
 
 def _without_slow(slopes: Tensor, unit: float) -> Tensor:

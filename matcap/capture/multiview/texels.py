@@ -215,9 +215,8 @@ class ParameterPrior:
 
     def at(self, chosen: Tensor) -> ParameterPrior:
         """Of some texels, indices (1, N)."""
-        mean, deviation, shares = (
-            each.flatten(1)[:, chosen] for each in (self.mean, self.deviation, self.shares)
-        )
+        parts = self.mean, self.deviation, self.shares
+        mean, deviation, shares = (each.flatten(1)[:, chosen] for each in parts)
         return replace(self, mean=mean, deviation=deviation, shares=shares)
 
     @property

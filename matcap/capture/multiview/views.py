@@ -170,9 +170,7 @@ def _seen_from(view: RegisteredView, ambient: RegisteredView) -> Picture:
     rows, columns = view.photo.pixels.shape[:2]
     # Project a coarse grid and interpolate: a camera's projection of a plane is smooth.
     grid = (max(2, rows // 16), max(2, columns // 16))
-    v, u = np.meshgrid(
-        (np.arange(grid[0]) + 0.5) / grid[0], (np.arange(grid[1]) + 0.5) / grid[1], indexing="ij"
-    )
+    v, u = np.meshgrid(*((np.arange(n) + 0.5) / n for n in grid), indexing="ij")
     image = np.stack([2.0 * u - 1.0, (1.0 - 2.0 * v) * rows / columns])
     height, width = ambient.photo.pixels.shape[:2]
     places = to_pixels(ambient.camera.sees(view.camera.on_plane(image)), width, height)
@@ -340,9 +338,8 @@ class ResampledView:
         seen = np.repeat(whole[..., None] > 0.99, 3, axis=2)
         if picture.clipped is not None:
             seen &= gridded(picture.clipped, cv2.INTER_LINEAR) <= CLIPPED_SHARE
-        return ResampledView(
-            planes_of(np.log(linear)), planes_of(seen), view.camera, view.flash, warp.extent
-        )
+        log = planes_of(np.log(linear))
+        return ResampledView(log, planes_of(seen), view.camera, view.flash, warp.extent)
 
 
 def light_at(

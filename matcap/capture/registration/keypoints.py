@@ -304,9 +304,8 @@ def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.fl
     log, inside = log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
     bands = (np.square(_band(log, *deviations)) for deviations in (_FINE, _LONG))
     tiles = (_TILES, max(2, round(_TILES * down / _ACROSS)))
-    fine, long, seen = (
-        area_averaged(each, tiles).ravel() for each in (*bands, inside.astype(np.float32))
-    )
+    planes = *bands, inside.astype(np.float32)
+    fine, long, seen = (area_averaged(each, tiles).ravel() for each in planes)
     ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
     return np.where(seen > 0.99, ratio, np.nan).astype(np.float64)
 

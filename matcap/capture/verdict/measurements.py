@@ -259,10 +259,8 @@ def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     log = _log_luminance(picture)
     bands = {"fine": _FINE, "coarse": _COARSE_BAND}
-    tiles = {
-        band: cell_means(np.square(band_passed(log, *reach)), _TILES)
-        for band, reach in bands.items()
-    }
+    squares = {band: np.square(band_passed(log, *reach)) for band, reach in bands.items()}
+    tiles = {band: cell_means(square, _TILES) for band, square in squares.items()}
     whole = np.log(picture + _floors(picture))
     chroma = band_passed(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
     return {**tiles, "coloured": cell_means(np.square(chroma), _TILES).mean(axis=2)}
