@@ -103,7 +103,6 @@ def _degrees(angles: Sequence[float]) -> list[float]:
 
 UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 
-
 # Detection of coarse textures; docs/notes/capture.md.
 
 _FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped, as it is noise

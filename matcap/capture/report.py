@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult, Tuning
     from matcap.flash.geometry import FlashSetup
 
-
 PREVIEW, REPORT = "preview.png", "report.json"
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matcap.field.source import Generator
     from matcap.files.settings import Rectangle
 
-
 # Each setting is defined once, here: options, matcap.toml and the reference pages take its range,
 # default and docstring from its field (files/settings.py). Variants for experiments: `Method` in
 # rectified.py.

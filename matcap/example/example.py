@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-
 # Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
 # for the synthesis, and its maps are read at full resolution.
 

@@ -63,9 +63,7 @@ GENERATORS: Mapping[Generator, str] = {
     "decoder": "matcap.space.tuned",
 }
 
-
 PartKind = TypeVar("PartKind")
-
 
 CODE, LATENT = 64, 72  # numbers of a latent vector, and of a position in the prior's space
 
