@@ -16,7 +16,7 @@ from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estim
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import FEATURES, WINDOW, Method, Rectified
 from matcap.capture.result import CaptureResult, GeneratorChoice, Tuning, judge_material, provenance
-from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, RunStatus
+from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, RunStatus, resolve
 from matcap.example.example import Example
 from matcap.field.material import Material
 from matcap.field.source import Generator
@@ -83,22 +83,18 @@ def photograph_target(
 
 
 def capture_by_decoder(
-    rectified: Rectified,
-    settings: CaptureSettings,
-    effort: Effort,
-    method: Method,
-    clock: CaptureClock,
+    rectified: Rectified, settings: CaptureSettings, method: Method, clock: CaptureClock
 ) -> CaptureResult:
     """Capture a photograph as a fine-tuned decoder.
 
     Args:
         rectified: the photograph, at the network's resolution.
-        effort: steps and windows that follow from the settings.
 
     Raises:
         MatcapError: the prior cannot be read.
     """
     photo, coarse, plane = rectified.photo, rectified.coarse, rectified.whole
+    effort = resolve(settings)
 
     def estimated(clock: CaptureClock) -> ExemplarEstimate:  # at the coarse fit's exposure
         return estimate_exemplar(rectified, load_inverse(), clock, KnownMeans(absolute=True))

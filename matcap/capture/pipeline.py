@@ -196,7 +196,7 @@ def capture_photo(
         from matcap.capture.by_decoder import capture_by_decoder
 
         rectified = _rectified(photo, settings, method, clock).at_input_resolution()
-        result = capture_by_decoder(rectified, settings, effort, method, clock)
+        result = capture_by_decoder(rectified, settings, method, clock)
         latent = _latent(rectified, settings)
         return replace(result, material=replace(result.material, latent=latent))
     if others:

@@ -33,6 +33,8 @@ from matcap.flash.rectify import picture_of
 from matcap.photo.checks import Rating, Region
 from matcap.photo.photo import standing
 
+Picture = NDArray[np.float32]
+
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
@@ -59,11 +61,11 @@ class Panel:
     """A labelled picture of the sheet."""
 
     label: str
-    values: NDArray[np.float32]
+    values: Picture
     """(H, W, 3) or (H, W), linear: averaged where the panel has fewer pixels."""
-    code: Callable[[NDArray[np.float32]], NDArray[np.float32]] = srgb_picture
+    code: Callable[[Picture], Picture] = srgb_picture
     """Function from values to code values in [0, 1], applied after averaging."""
-    close: NDArray[np.float32] | None = None
+    close: Picture | None = None
     """The crop at one pixel per texel, where `values` have fewer."""
     hidden: NDArray[np.bool_] | None = None
     """(H, W) of every texel: what the photograph does not show, which is hatched."""
@@ -90,7 +92,7 @@ class Panel:
         if self.number or by <= 1.0:
             return self
         close = self.values if self.close is None else self.close
-        wide: NDArray[np.float32] = np.asarray(
+        wide: Picture = np.asarray(
             cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), np.float32
         )
         if self.close is None:
@@ -116,7 +118,7 @@ class Panel:
         ImageDraw.Draw(image).text(middle, self.number, fill=_INK, font=font, anchor="mm")
         return image
 
-    def _image(self, values: NDArray[np.float32]) -> Image.Image:
+    def _image(self, values: Picture) -> Image.Image:
         code = np.rint(np.clip(self.code(values), 0.0, 1.0) * 255.0)
         return Image.fromarray(code.astype(np.uint8)).convert("RGB")
 
@@ -138,10 +140,7 @@ def _crop(width: int, height: int) -> tuple[slice, slice]:
 
 
 def _developed(
-    label: str,
-    result: CaptureResult,
-    linear: NDArray[np.float32],
-    close: NDArray[np.float32] | None = None,
+    label: str, result: CaptureResult, linear: Picture, close: Picture | None = None
 ) -> Panel:
     """Panel of a linear picture (H, W, 3) under the photograph's tone curve, as sRGB."""
     return Panel(label, linear, lambda some: srgb_picture(result.photo.developed(some)), close)
@@ -263,7 +262,7 @@ def _photograph(result: CaptureResult) -> Panel:
     return shown if kept is None else replace(shown, hidden=~kept)
 
 
-def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:
+def lit_panels(maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Iterable[Panel]:
     """Panels of maps under light from two sides (relit), and of each map.
 
     Normals are the height's gradient: the light from two sides shows them.
@@ -327,7 +326,7 @@ def each_map(maps: MapSet) -> Iterable[Panel]:
         yield _stretched(kind, _picture(maps, kind))
 
 
-def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
+def relit(side: str, maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Panel:
     """Render maps from the photograph's camera under a light of _LIGHTS: some texels, and the crop.
 
     Scaled to the mean radiance of the re-rendering, as this light has no exposure of its own.
@@ -340,7 +339,7 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     surface, every = replace(maps, painted=maps.normal), slice(None, None, max(1, width // _LIT))
 
     @torch.no_grad()
-    def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
+    def lit(rows: slice, columns: slice) -> Picture:
         some = surface.map(lambda planes: planes[..., rows, columns])
         radiance = shade(some, points[:, rows, columns], camera, light, torch.ones(3))
         return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
@@ -351,9 +350,7 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     return Panel(f"light from the {side}", gain * whole, close=close)
 
 
-def _under_flash(
-    maps: MapSet, setup: FlashSetup
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _under_flash(maps: MapSet, setup: FlashSetup) -> tuple[Picture, Picture]:
     """Render maps with painted normals under the setup's flash: some texels, and the crop."""
     turned, setup = setup.turned, replace(setup, turned=False)
     landscape = maps.turned(1) if turned else maps
@@ -362,7 +359,7 @@ def _under_flash(
     every = slice(None, None, max(1, width // _LIT))
 
     @torch.no_grad()
-    def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
+    def lit(rows: slice, columns: slice) -> Picture:
         some = landscape.map(lambda planes: planes[..., rows, columns])
         radiance = render_flash(some, setup, points[:, rows, columns]).movedim(0, -1).numpy()
         return standing(radiance) if turned else np.ascontiguousarray(radiance)
@@ -373,13 +370,13 @@ def _under_flash(
     return lit(every, every), lit(rows, columns)
 
 
-def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
+def _picture(maps: MapSet, kind: str) -> Picture:
     """(H, W, C) of one map."""
-    picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
+    picture: Picture = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
     return picture
 
 
-def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
+def _stretched(kind: str, values: Picture) -> Panel:
     """Panel of a scalar map, its 0.2 and 99.8 % quantiles as black and white and in the label."""
     some = slice(None, None, max(1, values.shape[1] // _LIT))
     low, high = (float(v) for v in np.quantile(values[some, some], (0.002, 0.998)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from matcap.example.candidates import Frame
 from matcap.example.index import Level, Lookup, two_phases
 from matcap.example.lattice import PhasedLattice, Phases, cells_of
-from matcap.example.library import Hashes, Integers, address, hash_places, loops
+from matcap.example.library import Hashes, Integers, Positions, address, hash_places, loops
 from matcap.example.placement import PatchNumbers, Placement, drawn, reuse_cost, spread_patches
 from matcap.field.plane import Period, Rectangle
 
@@ -147,7 +147,7 @@ class Axis:
 
 def lay_patches(
     level: Level, placement: Placement, depth: int, seed: int, frame: Frame, axes: tuple[Axis, Axis]
-) -> tuple[Integers, Integers]:
+) -> Positions:
     """(rows, columns) x, y of the exemplar that each position shows.
 
     Args:
@@ -224,7 +224,7 @@ def _fitting(
     frame: Frame,
     neighbours: list[_Neighbour],
     sides: tuple[int, int],
-) -> tuple[Integers, Integers]:
+) -> Positions:
     """For every hash, the random place of least placement cost, border mismatch and reuse."""
     tried = [drawn(hashes, attempt, frame) for attempt in range(placement.fitted)]
     x, y = (np.stack(each) for each in zip(*tried, strict=True))
@@ -242,12 +242,7 @@ def _fitting(
 
 
 def _border_mismatch(
-    level: Level,
-    frame: Frame,
-    centre: tuple[Integers, Integers],
-    other: _Neighbour,
-    width: int,
-    height: int,
+    level: Level, frame: Frame, centre: Positions, other: _Neighbour, width: int, height: int
 ) -> Integers:
     """32 times the mean squared difference of both sides' appearance along the common border."""
     along_x = other.step[1] == 0
@@ -335,7 +330,7 @@ def _passes(depth: int) -> int:
     return _PASSES[min(depth, 1)]
 
 
-def _wrapped(area: Rectangle, depth: int, period: Period | None) -> tuple[Integers, Integers]:
+def _wrapped(area: Rectangle, depth: int, period: Period | None) -> Positions:
     """Columns and rows of an area, modulo the period."""
     columns = np.arange(area.x, area.x + area.width)
     rows = np.arange(area.y, area.y + area.height)
@@ -372,9 +367,7 @@ def initial_places(
     return _clamped(np.stack([place_x, place_y], axis=-1), level.frame)
 
 
-def _loose(
-    lookup: Lookup, seed: int, x: Integers, y: Integers, period: Period | None
-) -> tuple[Integers, Integers]:
+def _loose(lookup: Lookup, seed: int, x: Integers, y: Integers, period: Period | None) -> Positions:
     """Places x, y of square patches that are not fitted to their neighbours."""
     depth, level, placement = len(lookup.levels) - 1, lookup.levels[-1], lookup.placement
     side = lookup.sizes.width
@@ -402,7 +395,7 @@ def _ordered(
     x: Integers,
     y: Integers,
     period: Period | None,
-) -> tuple[Integers, Integers]:
+) -> Positions:
     """Places x, y of lattice patches, in phase with the field's lattice."""
     depth, level = len(lookup.levels) - 1, lookup.levels[-1]
     together = lookup.sizes.cells
@@ -423,12 +416,8 @@ def _ordered(
 
 
 def _in_phase(
-    lattice: PhasedLattice,
-    seed: int,
-    places: tuple[Integers, Integers],
-    texels: tuple[Integers, Integers],
-    period: Period | None,
-) -> tuple[Integers, Integers]:
+    lattice: PhasedLattice, seed: int, places: Positions, texels: Positions, period: Period | None
+) -> Positions:
     """Move places by less than a period, so that their phases are those of texels of the field."""
     x, y = places
     wanted = lattice.ideal_phases(seed, *texels, period or (None, None))

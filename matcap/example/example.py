@@ -1,6 +1,4 @@
-"""The by-example generator: an exemplar with its index, read from a `.matcap` file, and its
-summary.
-"""
+"""The by-example generator: an exemplar with its index, read from `.matcap` files; its summary."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Index of an exemplar: grids of the synthesis levels, tables by level, candidates and
-penalties.
-"""
+"""Index of an exemplar: grids of synthesis levels, tables by level, candidates and penalties."""
 
 from __future__ import annotations
 

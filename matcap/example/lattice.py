@@ -187,12 +187,7 @@ class Cells:
 
 
 def cells_of(
-    lattice: PhasedLattice,
-    seed: int,
-    x: Integers,
-    y: Integers,
-    period: Period,
-    cells: float = LEAST_PATCH,
+    lattice: PhasedLattice, seed: int, x: Integers, y: Integers, period: Period, cells: float
 ) -> Cells:
     """The lattice patches that texels lie in.
 

@@ -20,6 +20,7 @@ from matcap.files.process import find_library, not_built
 
 Hashes = NDArray[np.uint64]
 Integers = NDArray[np.int64]
+Positions = tuple[Integers, Integers]  # x, y
 
 _WORD = 2**64
 _GOLDEN = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: the step of splitmix64

@@ -1,6 +1,4 @@
-"""Albedo, F0 and roughness of material classes from the highlight's profile, and the exposure
-prior.
-"""
+"""Mean albedo, F0 and roughness of classes by the highlight's profile, and the exposure prior."""
 
 from __future__ import annotations
 

@@ -30,7 +30,13 @@ from matcap.capture.multiview.texels import (
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, ShrunkPicture, ViewWarp
+from matcap.capture.multiview.views import (
+    Resampled,
+    ResampledView,
+    SharedLight,
+    ShrunkPicture,
+    ViewWarp,
+)
 from matcap.capture.registration.camera import (
     Doubles,
     Pair,
@@ -190,11 +196,7 @@ def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.fl
 
 
 def _initial(
-    views: Sequence[ResampledView],
-    coarser: Tensor | None,
-    prior: ParameterPrior,
-    light: SharedLight,
-    steps: int,
+    views: Resampled, coarser: Tensor | None, prior: ParameterPrior, light: SharedLight, steps: int
 ) -> Tensor:
     """(PARAMETERS, H, W) parameters of a grid, after Gauss-Newton steps.
 

@@ -47,7 +47,7 @@ from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
 from matcap.capture.multiview.solve import ROUNDS, Solved, solve
 from matcap.capture.multiview.texels import Estimate
-from matcap.capture.multiview.views import SLOW, ResampledView, without_ambient
+from matcap.capture.multiview.views import SLOW, Resampled, ResampledView, without_ambient
 from matcap.capture.rectified import Observation, Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
@@ -62,6 +62,7 @@ from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
 Result = TypeVar("Result")
+Floats = NDArray[np.float32]
 
 # Steps per texel in each round, on a grid that starts from the solution of one half as fine.
 _FINER: tuple[int, ...] = (1,)
@@ -71,12 +72,7 @@ _COARSE_SHARE = 0.4  # of the time
 
 @torch.no_grad()
 def estimate_multiview(
-    photos: Sequence[Photo],
-    network: Inverse,
-    detail: int,
-    clock: CaptureClock,
-    *,
-    union: bool = False,
+    photos: Sequence[Photo], network: Inverse, detail: int, clock: CaptureClock, *, union: bool
 ) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
@@ -175,7 +171,7 @@ def registered(
 @torch.no_grad()
 def predict_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
-) -> tuple[Estimate, ReliefSpectrum | None, NDArray[np.float32]]:
+) -> tuple[Estimate, ReliefSpectrum | None, Floats]:
     """Estimate from one photograph alone, on its plane's texels.
 
     Returns:
@@ -243,9 +239,7 @@ def _whole(
     )
 
 
-def _inpainted(
-    observed: Observation, estimate: Estimate, views: Sequence[ResampledView]
-) -> Exemplar:
+def _inpainted(observed: Observation, estimate: Estimate, views: Resampled) -> Exemplar:
     """The solved maps, inpainted under the highlight.
 
     Of one material, relief and mean parameters are fitted to the first photograph's highlight, as
@@ -270,11 +264,7 @@ def _inpainted(
 
 
 def _indexed(
-    photo: Photo,
-    exemplar: Exemplar,
-    metal: NDArray[np.float32],
-    waves: tuple[Wave, ...],
-    mosaic: Mosaic,
+    photo: Photo, exemplar: Exemplar, metal: Floats, waves: tuple[Wave, ...], mosaic: Mosaic
 ) -> tuple[Exemplar, Example, float]:
     """The exemplar, its index, and the factor on its albedo and F0 (mean_parameters.py)."""
     known = photo.flash_intensity is not None

@@ -14,7 +14,6 @@ measured by octave and direction in the ratio as they are in one photograph
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -38,7 +37,7 @@ from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives
 from matcap.capture.multiview.views import (
     GRADIENT_DEVIATION,
     UNIFORM_SKY,
-    ResampledView,
+    Resampled,
     SharedLight,
     Views,
     light_at,
@@ -140,7 +139,7 @@ class Ratio:
     """(H, W) 1 where both are valid, else 0."""
 
     @staticmethod
-    def of(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Ratio:
+    def of(views: Resampled, parameters: Tensor, light: SharedLight) -> Ratio:
         """Ratio of the first to the last photograph, linearised about a flat surface.
 
         Args:
@@ -170,9 +169,7 @@ class Ratio:
         return Ratio(log, sensitivity, flash_share.mean(0).numpy(), use)
 
 
-def with_ambient_gradient(
-    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
-) -> SharedLight:
+def with_ambient_gradient(views: Resampled, parameters: Tensor, light: SharedLight) -> SharedLight:
     """Estimate the gradient of ambient light (SharedLight.ambient) from the contrast of the ratio.
 
     Isotropic relief of slope energy S has the energy A + S |g - l|^2 / 2 in the ratio, with its
@@ -216,7 +213,7 @@ def with_ambient_gradient(
 
 
 def scaled_by_ratio(
-    height: Tensor, views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+    height: Tensor, views: Resampled, parameters: Tensor, light: SharedLight
 ) -> Tensor:
     """Scale a height's slope energies by octave and direction to those measured in the ratio.
 

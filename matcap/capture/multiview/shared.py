@@ -30,7 +30,7 @@ from matcap.capture.multiview.texels import (
     weights,
     with_gloss,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, by_vignetting, light_at
+from matcap.capture.multiview.views import Resampled, SharedLight, by_vignetting, light_at
 from matcap.capture.registration.camera import Doubles
 from matcap.flash.geometry import OWN, points_of
 from matcap.flash.light import DifferentiableLight
@@ -95,7 +95,7 @@ class _SharedParameters(NamedTuple):
 
 
 def shared_step(
-    views: Sequence[ResampledView],
+    views: Resampled,
     parameters: Tensor,
     prior: ParameterPrior,
     light: SharedLight,
@@ -147,7 +147,7 @@ def shared_step(
 
 
 def _deviations(
-    views: Sequence[ResampledView],
+    views: Resampled,
     light: SharedLight,
     start: _SharedParameters,
     prior: ParameterPrior,
@@ -165,7 +165,7 @@ def _deviations(
     )
 
 
-def _chosen(views: Sequence[ResampledView], count: int) -> Tensor:
+def _chosen(views: Resampled, count: int) -> Tensor:
     """(1, count) random texel indices; in a mosaic, of texels that two photographs show."""
     generator = torch.Generator().manual_seed(0)
     chosen = torch.randint(views[0].log[0].numel(), (1, count), generator=generator)
@@ -274,7 +274,7 @@ class _Equations:
 class _SharedFit:
     """The least-squares problem at N sampled texels."""
 
-    views: Sequence[ResampledView]
+    views: Resampled
     """The photographs at these texels, (3, 1, N)."""
     points: Tensor
     """(3, 1, N) plane points."""
@@ -289,7 +289,7 @@ class _SharedFit:
 
     @staticmethod
     def of(
-        views: Sequence[ResampledView],
+        views: Resampled,
         chosen: Tensor,
         prior: ParameterPrior,
         light: SharedLight,

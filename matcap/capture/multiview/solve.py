@@ -46,7 +46,7 @@ from matcap.capture.multiview.texels import (
     under_fitted_ambient,
     with_gloss,
 )
-from matcap.capture.multiview.views import SLOW, ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import SLOW, Resampled, SharedLight, light_at
 from matcap.flash.geometry import points_of
 from matcap.flash.light import strips
 
@@ -103,7 +103,7 @@ class Solved:
 class _Iterate:
     """The solution after a Gauss-Newton step."""
 
-    views: Sequence[ResampledView]
+    views: Resampled
     """Photographs; of the ambient one, low frequencies are those of the rendered maps."""
     light: SharedLight
     """Fitted shared parameters."""
@@ -119,10 +119,7 @@ class _Iterate:
 
     @staticmethod
     def initial(
-        views: Sequence[ResampledView],
-        prediction: Estimate,
-        light: SharedLight,
-        coarser: Solved | None,
+        views: Resampled, prediction: Estimate, light: SharedLight, coarser: Solved | None
     ) -> _Iterate:
         """The prediction, or the upsampled solution of a coarser grid; arguments as of solve."""
         prior, error, energies = ParameterPrior.of(prediction), 0.0, tuple[float, ...]()
@@ -207,7 +204,7 @@ class _Iterate:
 
 @torch.no_grad()
 def solve(
-    views: Sequence[ResampledView],
+    views: Resampled,
     prediction: Estimate,
     light: SharedLight,
     coarser: Solved | None = None,
@@ -334,7 +331,7 @@ def _without_slow(slopes: Tensor, unit: float) -> Tensor:
 
 
 def _step_at_fixed_slopes(
-    views: Sequence[ResampledView], parameters: Tensor, prior: ParameterPrior, light: SharedLight
+    views: Resampled, parameters: Tensor, prior: ParameterPrior, light: SharedLight
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (surface.py)."""
     step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
@@ -355,9 +352,7 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     return torch.stack([albedo, deviation[F0], deviation[ROUGH], slope]).log()
 
 
-def _residuals(
-    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
-) -> tuple[Tensor, ...]:
+def _residuals(views: Resampled, parameters: Tensor, light: SharedLight) -> tuple[Tensor, ...]:
     """(3, n) absolute residuals of log radiance of each photograph, from a quarter of the rows.
 
     NaN where it is not seen.

@@ -31,6 +31,7 @@ from matcap.brdf.cook_torrance import (
 from matcap.brdf.maps import MapSet, normals_from_height, normals_from_slopes
 from matcap.capture.multiview.views import (
     AmbientLight,
+    Resampled,
     ResampledView,
     SharedLight,
     evenly_lit,
@@ -314,7 +315,7 @@ def _tinted(log_f0: Tensor, parameters: Tensor) -> Tensor:
 
 
 def under_fitted_ambient(
-    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+    views: Resampled, parameters: Tensor, light: SharedLight
 ) -> list[ResampledView]:
     """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
@@ -331,7 +332,7 @@ def weights(residual: Tensor, seen: Tensor, variance: Tensor | float) -> Tensor:
     return seen * kept / variance
 
 
-def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Tensor:
+def robust_cost(views: Resampled, parameters: Tensor, light: SharedLight) -> Tensor:
     """(H, W) sum over photographs and channels of the cost whose weights are `weights`."""
     points = points_of(parameters.shape[-2:], extent=views[0].extent)
     lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
@@ -344,7 +345,7 @@ def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: Share
 
 
 def stepped(
-    views: Sequence[ResampledView],
+    views: Resampled,
     parameters: Tensor,
     prior: ParameterPrior,
     light: SharedLight,
@@ -455,12 +456,7 @@ def solved(
 
 
 def _normal_equations(
-    views: Sequence[ResampledView],
-    rows: slice,
-    parameters: Tensor,
-    light: SharedLight,
-    *,
-    slopes: bool,
+    views: Resampled, rows: slice, parameters: Tensor, light: SharedLight, *, slopes: bool
 ) -> list[Tensor]:
     """Normal equations of each photograph at some rows, without slopes if these do not move."""
     points = points_of(views[0].log.shape[-2:], rows, views[0].extent)

@@ -342,6 +342,9 @@ class ResampledView:
         return ResampledView(log, planes_of(seen), view.camera, view.flash, warp.extent)
 
 
+Resampled = Sequence[ResampledView]
+
+
 def light_at(
     number: int, view: ResampledView, light: SharedLight, points: Tensor
 ) -> DifferentiableLight:

@@ -73,8 +73,7 @@ class RegisteredView:
     flash: bool = True
     """Whether it is lit by flash, not by ambient light alone."""
     position_deviation: float = 0.0
-    """Standard deviation of the camera's position relative to the first, over its distance
-    (camera.py)."""
+    """Standard deviation of the camera's position relative to the first, over its distance."""
     misregistration: float = 0.0
     """Standard deviation of its registration to the first, plane units (camera.py)."""
 

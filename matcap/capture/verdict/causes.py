@@ -52,8 +52,7 @@ class HighlightProfile:
     """A highlight in photograph and re-rendering, clipped alike; pairs are in this order."""
 
     rings: tuple[tuple[float, float], ...]
-    """By ring from the innermost: profile(r) over that of the outermost; the first is the
-    contrast."""
+    """By ring from the innermost: profile(r) over the outermost's; the first is the contrast."""
     clipped: tuple[float, ...]
     """By ring: share that is clipped in the photograph."""
     glints: tuple[tuple[float, float], ...] = ()

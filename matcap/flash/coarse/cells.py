@@ -1,6 +1,4 @@
-"""The coarse fit's model and observations: cells of a photograph, uniform material, camera,
-flash.
-"""
+"""The coarse fit's model and observations: cells, uniform material, camera and flash."""
 
 from __future__ import annotations
 
@@ -156,11 +154,9 @@ class CoarseCells:
     observed: Tensor
     """(3, n) log radiance."""
     toe: Tensor
-    """(3, n) radiance added to cell and model before the logarithm, as darker values are
-    uncertain."""
+    """(3, n) radiance added to cell and model before logarithms, as darker values are uncertain."""
     above: Tensor
-    """(3, n) factor on the residual of a model brighter than the cell: 1, or less for lower
-    bounds."""
+    """(3, n) factor on the residual of a model brighter than the cell: 1, or less for a bound."""
     weight: Tensor
     """(n,) weight of each cell; they sum to 1/3."""
 
