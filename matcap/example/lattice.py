@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from matcap.example.library import Integers, same_cells, scramble, turns_per_texel, whole_turns
 from matcap.field.plane import Period
 
+Doubles = NDArray[np.float64]
+
 # Measurement of a lattice and its patches; docs/notes/field.md.
 _BINS = 24  # of a turn, for the search for joints
 _SLOPES = (5, 6)  # planes that are left out there, as they vary most at joints
@@ -273,7 +275,7 @@ def measure_lattice(
     return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
 
 
-def _repeats(planes: NDArray[np.floating], period: NDArray[np.float64]) -> bool:
+def _repeats(planes: NDArray[np.floating], period: Doubles) -> bool:
     """Whether planes (C, H, W) are like themselves a period away, more than half a period away."""
     high, wide = planes.shape[1:]
 
@@ -357,7 +359,7 @@ def _measured(
     return mean, np.rint(bend * _TURN).astype(np.int32)
 
 
-def _unwrapped(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unwrapped(turns: Doubles) -> Doubles:
     """(H, W) phase in turns, less whole turns, without jumps: the most reliable steps first."""
     import cv2  # takes a tenth of a second, which synthesis is spared
 
@@ -387,9 +389,7 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
     return (local * weights[:, None, None]).sum(axis=0)
 
 
-def gaussian_windows(
-    length: int, centres: NDArray[np.int64], deviation: float
-) -> NDArray[np.float64]:
+def gaussian_windows(length: int, centres: NDArray[np.int64], deviation: float) -> Doubles:
     """(len(centres), length) Gaussian windows of unit sum."""
     distance = np.arange(length)[None, :] - centres[:, None]
     windows = np.exp(-0.5 * (distance / deviation) ** 2)
@@ -397,10 +397,7 @@ def gaussian_windows(
 
 
 def _plane_fit(
-    columns: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    values: NDArray[np.float64],
-    weight: NDArray[np.float64],
+    columns: NDArray[np.int64], rows: NDArray[np.int64], values: Doubles, weight: Doubles
 ) -> tuple[float, float, float]:
     """(a, b, c) of the weighted least-squares plane a x + b y + c through values on a grid."""
     x, y = np.broadcast_arrays(columns[None, :], rows[:, None])

@@ -74,6 +74,8 @@ from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST
 
+Floats = NDArray[np.float32]
+
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
 
 # Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
@@ -215,9 +217,7 @@ def _fitted_mean_parameters(
 
 
 @torch.no_grad()
-def refitted_to_highlight(
-    exemplar: Exemplar, observed: Observation, metal: NDArray[np.float32]
-) -> Exemplar:
+def refitted_to_highlight(exemplar: Exemplar, observed: Observation, metal: Floats) -> Exemplar:
     """F0 and roughness scaled so that the finished relief, of any place, shows the highlight.
 
     Relief under the highlight, to which they were fitted, is replaced by inpainting, and fields
@@ -254,10 +254,7 @@ def refitted_to_highlight(
 
 
 def flatten(
-    residuals: SurfaceParameters,
-    confidence: NDArray[np.float32],
-    distances: Sequence[NDArray[np.float32]],
-    unit: float,
+    residuals: SurfaceParameters, confidence: Floats, distances: Sequence[Floats], unit: float
 ) -> SurfaceParameters:
     """Remove from albedo (of metal: F0) low frequencies, and rings around given points: the
     flash's mirror point, and the vignetting's centre.
@@ -284,9 +281,7 @@ def flatten(
     return replace(residuals, diffuse=even(residuals.diffuse), specular=even(residuals.specular))
 
 
-def _rings(
-    planes: NDArray[np.float32], distance: NDArray[np.float32], weight: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _rings(planes: Floats, distance: Floats, weight: Floats) -> Floats:
     """(C, H, W) means of planes over rings around a point, shrunk by their uncertainty.
 
     The mean m of a ring becomes m max(1 - e^2 / m^2, 0) (James-Stein), where the standard error e
@@ -306,7 +301,7 @@ def _rings(
     count = int(ring.max()) + 1
     part = (ring * _SECTORS + sector).ravel()
 
-    def sums(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    def sums(values: Floats) -> NDArray[np.float64]:
         flat = np.bincount(part, values.ravel(), count * _SECTORS)
         return flat.reshape(count, _SECTORS).astype(np.float64)
 
@@ -498,16 +493,14 @@ def _denoised(energy: NDArray[np.float64], variance: float) -> NDArray[np.float6
     return (energy - 0.75 * variance * 0.25 ** np.arange(len(energy))[::-1]).clip(0.0)
 
 
-def _squared_bands(
-    plane: NDArray[np.float32], region: NDArray[np.bool_], around: float
-) -> NDArray[np.float32]:
+def _squared_bands(plane: Floats, region: NDArray[np.bool_], around: float) -> Floats:
     """(bands, H, W) squares of a plane's bands over a region (H, W), longest first."""
     plane = filled(plane, region)
     plane = plane - smoothed(plane, around)
     return np.square(split(np.where(region, plane, np.float32(0.0)))[:-1])
 
 
-def _scatter(squares: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _scatter(squares: Floats, region: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(bands,) relative deviation of energies of _CELLS x _CELLS parts of a picture."""
     rows, columns = (np.arange(side) * _CELLS // side for side in region.shape)
     cells = (rows[:, None] * _CELLS + columns)[region]

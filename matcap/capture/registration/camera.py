@@ -118,9 +118,7 @@ def camera_of(points: Doubles, image: Doubles, lens: Lens, *, refined: bool = Fa
     return PosedCamera(np.diag([1.0, -1.0, -1.0]) @ rotation, -rotation.T @ shift.ravel(), lens)
 
 
-def grid_points(
-    across: int, down: int, extent: Extent = OWN, rows: slice = slice(None)
-) -> NDArray[np.float64]:
+def grid_points(across: int, down: int, extent: Extent = OWN, rows: slice = slice(None)) -> Doubles:
     """(3, down, across) plane points of a grid's texels, or of some of its rows.
 
     The layout is that of geometry.plane_points.
@@ -132,7 +130,7 @@ def grid_points(
 
 
 def to_pixels(
-    image: NDArray[np.float64], columns: int, rows: int
+    image: Doubles, columns: int, rows: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Columns and rows of image coordinates (2, ...) for cv2.remap; -1e6 for NaN."""
     x = np.nan_to_num((image[0] + 1.0) * columns / 2.0 - 0.5, nan=-1e6)
