@@ -108,7 +108,9 @@ def capture_by_decoder(
             target = replace(target, waves=())
         window_distance = self_difference(target.windows, target.weights)
         tune = TuneSettings(steps=effort.steps, places=effort.places, seed=settings.seed)
-    start = _start(rectified, settings, target, tune, clock)
+    with clock.stage("start"):  # the prior's decoder, or a random one; it reads no drawing
+        pixels, prior = photo.developed(photo.pixels), settings.prior  # as the encoder learnt
+        start = initial_decoder(pixels, coarse, plane, target, tune, prior, DecoderConfig())
     target = replace(target, drawing=drawing)
     decoder, tuned = tuned_decoder(plane.texel_size, start, target, tune, clock, window_distance)
     about = provenance(rectified, settings, effort, [])
@@ -126,26 +128,6 @@ def capture_by_decoder(
         material = _upright(material)
         estimate = estimate and estimate.upright(rectified.waves)
     return judge_material(rectified, material, settings, clock, estimate, went)
-
-
-def _start(
-    rectified: Rectified,
-    settings: CaptureSettings,
-    target: PhotographTarget,
-    tune: TuneSettings,
-    clock: CaptureClock,
-) -> InitialDecoder:
-    """The prior's decoder, or a random one; it reads no drawing."""
-    with clock.stage("start"):
-        return initial_decoder(
-            rectified.photo.developed(rectified.photo.pixels),  # as the encoder was trained on
-            rectified.coarse,
-            rectified.whole,
-            target,
-            tune,
-            settings.prior,
-            DecoderConfig(),
-        )
 
 
 def tuned_decoder(
