@@ -19,17 +19,15 @@ from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.estimate import (
     classified,
     indexed,
-    map_set_of,
     measured_spectrum,
     scaled_to_spectrum,
 )
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import load_inverse
-from matcap.capture.exemplar.observation import Observation
-from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
+from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, map_set_of, predict_maps
 from matcap.capture.exemplar.refine import refine_maps, refitted_to_highlight
-from matcap.capture.rectified import Rectified, fit_photograph
+from matcap.capture.rectified import Observation, Rectified, fit_photograph
 from matcap.field.material import Material
 from matcap.flash.highlight import limit_sparkles
 from matcap.photo.photo import Photo

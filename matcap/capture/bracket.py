@@ -355,7 +355,6 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
     """The bracket of photographs, aligned to the first; None if they are none.
 
     Args:
-        photos: of the bracket.
         sampled: of single pixels, on a grid of at most _COLUMNS.
     """
     if not 2 <= len(photos) <= MOST:
@@ -493,9 +492,8 @@ def _refined(
         usable = strength > _LEAST_CORRELATION
         if usable.sum() < _LEAST_TILES:
             return warp, 0
-        change, kept = cv2.findHomography(
-            middles[usable], (middles + shifts)[usable], cv2.RANSAC, _INLIER
-        )
+        before, after = middles[usable], (middles + shifts)[usable]
+        change, kept = cv2.findHomography(before, after, cv2.RANSAC, _INLIER)
         if change is None:
             return warp, 0
         warp, count = warp @ change, int(kept.sum())

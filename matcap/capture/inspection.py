@@ -14,10 +14,9 @@ import torch
 
 from matcap.capture.bracket import MERGED
 from matcap.capture.exemplar.estimate import measured_spectrum
-from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.mosaic import mosaic_of, sees
-from matcap.capture.rectified import fit_photograph, tilt_document
+from matcap.capture.rectified import Observation, fit_photograph, tilt_document
 from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order

@@ -198,7 +198,7 @@ def capture_photo(
         from matcap.capture.by_decoder import capture_by_decoder
 
         rectified = _rectified(photo, settings, method, clock).at_input_resolution()
-        result = capture_by_decoder(rectified, settings, effort, method, clock)
+        result = capture_by_decoder(rectified, settings, method, clock)
         latent = _latent(rectified, settings)
         return replace(result, material=replace(result.material, latent=latent))
     if others:
@@ -226,7 +226,7 @@ def capture_photo(
     result = judge_material(rectified, material, settings, clock, estimate)
     if not effort.steps or result.status is RunStatus.INTERRUPTED:
         return result
-    from matcap.capture.both_generators import with_decoder
+    from matcap.capture.by_decoder import with_decoder
 
     return with_decoder(result, rectified, effort, clock)
 

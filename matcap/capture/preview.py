@@ -13,22 +13,27 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.estimate import ExemplarEstimate
+from matcap.capture.exemplar.predict import map_set_of
+from matcap.capture.multiview.set_report import draw_predicted, draw_set
+from matcap.capture.result import CaptureResult
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
+from matcap.flash.geometry import FlashSetup, points_of
+from matcap.flash.light import render_flash, render_rectified, shade
+from matcap.flash.rectify import picture_of
 from matcap.photo.checks import Rating, Region
 from matcap.photo.photo import standing
 
-if TYPE_CHECKING:
-    from matcap.brdf.maps import MapSet
-    from matcap.capture.exemplar.estimate import ExemplarEstimate
-    from matcap.capture.result import CaptureResult
-    from matcap.flash.geometry import FlashSetup
+Picture = NDArray[np.float32]
 
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
@@ -56,11 +61,11 @@ class Panel:
     """A labelled picture of the sheet."""
 
     label: str
-    values: NDArray[np.float32]
+    values: Picture
     """(H, W, 3) or (H, W), linear: averaged where the panel has fewer pixels."""
-    code: Callable[[NDArray[np.float32]], NDArray[np.float32]] = srgb_picture
+    code: Callable[[Picture], Picture] = srgb_picture
     """Function from values to code values in [0, 1], applied after averaging."""
-    close: NDArray[np.float32] | None = None
+    close: Picture | None = None
     """The crop at one pixel per texel, where `values` have fewer."""
     hidden: NDArray[np.bool_] | None = None
     """(H, W) of every texel: what the photograph does not show, which is hatched."""
@@ -71,8 +76,6 @@ class Panel:
 
     def resized(self, size: tuple[int, int]) -> Image.Image:
         """The whole picture at a size of (width, height) pixels."""
-        import cv2
-
         if self.number:
             return self._written(size)
         way = cv2.INTER_AREA if size[0] <= self.values.shape[1] else cv2.INTER_NEAREST
@@ -86,12 +89,10 @@ class Panel:
 
     def enlarged(self, by: float) -> Panel:
         """The panel with `by` times as many pixels a side; its crop has the same middle."""
-        import cv2
-
         if self.number or by <= 1.0:
             return self
         close = self.values if self.close is None else self.close
-        wide: NDArray[np.float32] = np.asarray(
+        wide: Picture = np.asarray(
             cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), np.float32
         )
         if self.close is None:
@@ -117,7 +118,7 @@ class Panel:
         ImageDraw.Draw(image).text(middle, self.number, fill=_INK, font=font, anchor="mm")
         return image
 
-    def _image(self, values: NDArray[np.float32]) -> Image.Image:
+    def _image(self, values: Picture) -> Image.Image:
         code = np.rint(np.clip(self.code(values), 0.0, 1.0) * 255.0)
         return Image.fromarray(code.astype(np.uint8)).convert("RGB")
 
@@ -139,10 +140,7 @@ def _crop(width: int, height: int) -> tuple[slice, slice]:
 
 
 def _developed(
-    label: str,
-    result: CaptureResult,
-    linear: NDArray[np.float32],
-    close: NDArray[np.float32] | None = None,
+    label: str, result: CaptureResult, linear: Picture, close: Picture | None = None
 ) -> Panel:
     """Panel of a linear picture (H, W, 3) under the photograph's tone curve, as sRGB."""
     return Panel(label, linear, lambda some: srgb_picture(result.photo.developed(some)), close)
@@ -163,8 +161,6 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
     """Draw the sheet of a capture, RGB."""
     blocks = [block(list(panels(result)))]
     if result.estimate is not None:
-        from matcap.capture.exemplar.estimate import map_set_of
-
         made = result.material.generators
         generator = "by example" if "example" in made else "by the decoder"
         if result.choice is not None:
@@ -178,8 +174,6 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         ]
         several = result.several
         if several is not None:
-            from matcap.capture.multiview.set_report import draw_predicted, draw_set
-
             maps = map_set_of(result.estimate.exemplar)
             if several.mosaic.margins.any:
                 whole = block(list(lit_panels(maps, result.rerendered, result.material.setup)))
@@ -239,8 +233,6 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
 
 def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """Panels of an exemplar, as panels()."""
-    from matcap.capture.exemplar.estimate import map_set_of
-
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
     maps = replace(maps, painted=maps.normal)
     whole, close = _under_flash(maps, setup)
@@ -253,11 +245,6 @@ def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterab
 
 def decoder_panels(result: CaptureResult, maps: MapSet) -> Iterable[Panel]:
     """Panels of the decoder's field beside that by example, as panels(), at the same scale."""
-    import torch
-
-    from matcap.flash.light import render_rectified
-    from matcap.flash.rectify import picture_of
-
     with torch.inference_mode():
         rerendered = picture_of(render_rectified(maps, result.material.setup))
     photograph = _photograph(result)
@@ -275,7 +262,7 @@ def _photograph(result: CaptureResult) -> Panel:
     return shown if kept is None else replace(shown, hidden=~kept)
 
 
-def lit_panels(maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Iterable[Panel]:
+def lit_panels(maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Iterable[Panel]:
     """Panels of maps under light from two sides (relit), and of each map.
 
     Normals are the height's gradient: the light from two sides shows them.
@@ -339,25 +326,20 @@ def each_map(maps: MapSet) -> Iterable[Panel]:
         yield _stretched(kind, _picture(maps, kind))
 
 
-def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: FlashSetup) -> Panel:
+def relit(side: str, maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Panel:
     """Render maps from the photograph's camera under a light of _LIGHTS: some texels, and the crop.
 
     Scaled to the mean radiance of the re-rendering, as this light has no exposure of its own.
     """
-    import torch
-
-    from matcap.flash.geometry import plane_points
-    from matcap.flash.light import shade
-
     width, height = maps.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of((height, width))
     if setup.turned:
         points *= width / height  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
     surface, every = replace(maps, painted=maps.normal), slice(None, None, max(1, width // _LIT))
 
     @torch.no_grad()
-    def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
+    def lit(rows: slice, columns: slice) -> Picture:
         some = surface.map(lambda planes: planes[..., rows, columns])
         radiance = shade(some, points[:, rows, columns], camera, light, torch.ones(3))
         return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
@@ -368,23 +350,16 @@ def relit(side: str, maps: MapSet, rerendered: NDArray[np.float32], setup: Flash
     return Panel(f"light from the {side}", gain * whole, close=close)
 
 
-def _under_flash(
-    maps: MapSet, setup: FlashSetup
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _under_flash(maps: MapSet, setup: FlashSetup) -> tuple[Picture, Picture]:
     """Render maps with painted normals under the setup's flash: some texels, and the crop."""
-    import torch
-
-    from matcap.flash.geometry import plane_points
-    from matcap.flash.light import render_flash
-
     turned, setup = setup.turned, replace(setup, turned=False)
     landscape = maps.turned(1) if turned else maps
     width, height = landscape.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of((height, width))
     every = slice(None, None, max(1, width // _LIT))
 
     @torch.no_grad()
-    def lit(rows: slice, columns: slice) -> NDArray[np.float32]:
+    def lit(rows: slice, columns: slice) -> Picture:
         some = landscape.map(lambda planes: planes[..., rows, columns])
         radiance = render_flash(some, setup, points[:, rows, columns]).movedim(0, -1).numpy()
         return standing(radiance) if turned else np.ascontiguousarray(radiance)
@@ -395,13 +370,13 @@ def _under_flash(
     return lit(every, every), lit(rows, columns)
 
 
-def _picture(maps: MapSet, kind: str) -> NDArray[np.float32]:
+def _picture(maps: MapSet, kind: str) -> Picture:
     """(H, W, C) of one map."""
-    picture: NDArray[np.float32] = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
+    picture: Picture = getattr(maps, kind).detach().movedim(0, -1).contiguous().numpy()
     return picture
 
 
-def _stretched(kind: str, values: NDArray[np.float32]) -> Panel:
+def _stretched(kind: str, values: Picture) -> Panel:
     """Panel of a scalar map, its 0.2 and 99.8 % quantiles as black and white and in the label."""
     some = slice(None, None, max(1, values.shape[1] // _LIT))
     low, high = (float(v) for v in np.quantile(values[some, some], (0.002, 0.998)))

@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from matcap.capture.result import CaptureResult, Tuning
     from matcap.flash.geometry import FlashSetup
 
-
-# Writing the outputs of a capture into its folder, all or none.
-
 PREVIEW, REPORT = "preview.png", "report.json"
 
 
@@ -59,7 +56,6 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
     Args:
         result: of capture_photo.
         folder: created if missing; its name is that of the material and the maps.
-        settings: what to write.
 
     Returns:
         Path of the .matcap file.
@@ -128,7 +124,7 @@ def _write_piece(
     estimate: ExemplarEstimate, setup: FlashSetup, stage: Path, name: str, settings: OutputSettings
 ) -> None:
     """Write the exemplar's maps and their confidence, in [0, 1] per map and texel."""
-    from matcap.capture.exemplar.estimate import map_set_of
+    from matcap.capture.exemplar.predict import map_set_of
 
     exemplar = estimate.exemplar
     about: dict[str, Any] = {"of": "the photographed piece", "error": estimate.error}
@@ -314,10 +310,8 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     if result.status is RunStatus.INTERRUPTED:
         yield "Interrupted: this is the best so far; run it again for a better result."
     # The verdict checks the flash by the light; a warning is due if the metadata deny it.
-    keys = (
-        ("flash", "clipped", "tilt") if result.photo.flash_fired is False else ("clipped", "tilt")
-    )
-    shot = (result.measurements.photograph[key] for key in keys)
+    denied = ("flash",) if result.photo.flash_fired is False else ()
+    shot = (result.measurements.photograph[key] for key in (*denied, "clipped", "tilt"))
     yield from (finding.line() for finding in shot if finding.rating is not Rating.GOOD)
     if result.several is not None:
         yield from _set_warnings(result.several, union=result.settings.union)

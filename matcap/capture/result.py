@@ -49,7 +49,7 @@ class Tuning:
 
 @dataclass(frozen=True)
 class GeneratorChoice:
-    """The generator that makes a material's maps, of two, by measures (both_generators.py)."""
+    """The generator that makes a material's maps, of two, by measures (by_decoder.py)."""
 
     generator: Generator
     """The decoder where its distance is less by a fifth, else the exemplar."""
@@ -152,10 +152,7 @@ def judge_material(
     """Re-render a material under its photograph's flash, measure the differences and rate them.
 
     Args:
-        rectified: the photograph.
         material: what was captured.
-        settings: of the user.
-        clock: of the capture.
         estimate: the exemplar, if one was estimated; upright, as the material is if it is turned.
         tuning: the course of fine-tuning, if a decoder was.
     """

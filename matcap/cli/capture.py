@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from matcap.batch.samples import BatchSettings
-from matcap.capture.settings import CaptureSettings, OutputSettings, check_photographs
-from matcap.capture.time_limit import slowness, within_time
+from matcap.capture.settings import (
+    CaptureSettings,
+    OutputSettings,
+    check_photographs,
+    slowness,
+    within_time,
+)
 from matcap.cli.options import (
     ADVANCED,
     NOTHING,
@@ -246,7 +251,6 @@ def batch(
     from matcap.batch.run import prepare, work_off
     from matcap.batch.samples import settings_of
     from matcap.batch.work import Policy
-    from matcap.capture.time_limit import slowness, within_time
     from matcap.cli.display import BatchDisplay
 
     settings = settings_of(source, given)

@@ -6,7 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from matcap.example.coordinates import Places
 from matcap.example.exemplar import ROUGHNESS, Exemplar, Floats
 from matcap.example.library import address, loops
 from matcap.field.plane import RING, Period, Rectangle
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # Normals of a block from its heights, in NumPy; field/source.py has the same in PyTorch.
 
@@ -32,6 +35,27 @@ def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArra
     np.multiply(up, upright if normal == "dx" else -upright, out=planes[-2])
     planes[-1] = upright
     return planes
+
+
+class ArraySource:
+    """A source of a field whose stacked maps are computed in NumPy, on the processor."""
+
+    device_type = "cpu"
+    texel_size: float
+
+    def maps(self, block: Rectangle) -> Tensor:
+        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
+        import torch
+
+        return torch.from_numpy(self.around(block.grown(RING)))
+
+    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
+        """(9 or 11, height, width) maps and normal of a block."""
+        return with_normals(self.around(block.grown(RING)), self.texel_size, normal)
+
+    def around(self, area: Rectangle) -> Floats:
+        """Stacked maps (6 or 8, height, width) of any area."""
+        raise NotImplementedError
 
 
 # Multi-band blending across the seams of a rearranged exemplar [burt1983].
@@ -110,7 +134,6 @@ def seam_correlations(bands: Sequence[Band], places: Places, step: int) -> tuple
     machine. 1 for the last band, which is no texture.
 
     Args:
-        bands: of the exemplar.
         places: (rows, columns, 2) of the field, `step` texels apart.
         step: texels.
     """
@@ -218,7 +241,6 @@ class Votes:
         """Nodes of a band.
 
         Args:
-            band: index of the band.
             area: texels.
             period: of the field, or None.
             bits: log2 of the step of the grid of places, texels.
@@ -302,7 +324,6 @@ def blended(
     """(6 or 8, height, width) stacked maps of an area, blended; see the module's equations.
 
     Args:
-        shown: the exemplar.
         area: in texels.
         own: places of the grid squares that the area overlaps.
         votes: nodes of every band, and Votes.predicted of them.

@@ -129,7 +129,6 @@ def _difference(values: NDArray[np.float32], out: NDArray[np.float32]) -> None:
 # components. Basis and features are integers of 7 bits plus sign, so that sums are integers below
 # 2^24, exact whatever their order.
 
-# Appearance vectors; docs/notes/field.md.
 _FALL_OFF = 8.0  # f of the neighbourhood's weights exp(-r^2 / f), in squared steps
 _SAMPLES = 20_000  # neighbourhoods that the PCA is computed from
 _CLIPPED = 0.002  # share of places whose first component exceeds appearance.LARGEST
@@ -239,7 +238,6 @@ def _tap_weights() -> NDArray[np.float64]:
 # [barnes2009], the shifted candidates of its neighbours in the image. Directions are hashes and
 # distances integers, so that the result is the same on every machine.
 
-# The search for candidates; docs/notes/field.md.
 _ROUNDS = 4  # more find better candidates and take longer
 _LINES = 2  # random directions in a round
 _STEEPEST = 100  # largest component of a direction

@@ -1,6 +1,4 @@
-"""The by-example generator: an exemplar with its index, read from a `.matcap` file, and its
-summary.
-"""
+"""The by-example generator: an exemplar with its index, read from `.matcap` files; its summary."""
 
 from __future__ import annotations
 
@@ -16,15 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.stated import NormalStyle
 from matcap.example.blend import (
+    ArraySource,
     Band,
     ExemplarBands,
     Votes,
     bands_of,
     blended,
     seam_correlations,
-    with_normals,
 )
 from matcap.example.candidates import Frame, PatchSizes, frame_of, level_count
 from matcap.example.coordinates import Places, coordinates, initial_places
@@ -33,15 +30,7 @@ from matcap.example.index import Index, Lookup, build_index, kept_lattice, prepa
 from matcap.example.lattice import GRID, Frequency
 from matcap.example.repeat import BLOCKS, RepeatedSource
 from matcap.field.header import opened
-from matcap.field.plane import (
-    RING,
-    Grid,
-    Period,
-    Rectangle,
-    check_period,
-    check_seed,
-    check_variety,
-)
+from matcap.field.plane import Grid, Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.settings import bounded
 
 if TYPE_CHECKING:
@@ -50,9 +39,6 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-
-# The by-example generator: an exemplar with its index.
-#
 # Places are synthesised on a grid of at most _GRID texels. A larger exemplar is halved to that grid
 # for the synthesis, and its maps are read at full resolution.
 
@@ -117,9 +103,8 @@ class Example:
         if not level_count(*(part or Frame.of(*coarse.size)).size):
             raise ValueError(f"an exemplar of {exemplar.size} texels")
         scaled = tuple((fx * 2**bits, fy * 2**bits) for fx, fy in waves)
-        return Example(
-            exemplar, build_index(coarse, scaled, straight=straight, part=part, one_light=one_light)
-        )
+        index = build_index(coarse, scaled, straight=straight, part=part, one_light=one_light)
+        return Example(exemplar, index)
 
     @property
     def alignment(self) -> int:
@@ -142,9 +127,8 @@ class Example:
 
         from matcap.brdf.maps import MapSet
 
-        return MapSet.from_stacked(
-            torch.from_numpy(self.exemplar.stacked()), self.exemplar.texel_size
-        )
+        stacked = torch.from_numpy(self.exemplar.stacked())
+        return MapSet.from_stacked(stacked, self.exemplar.texel_size)
 
     def source(
         self, seed: int, period: Period | None = None, device: torch.device | None = None
@@ -186,9 +170,8 @@ class Example:
         rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
         within = lattice and lattice.cropped(box.x >> bits, box.y >> bits)
         maps = exemplar.stacked()[:, rows, columns]
-        return RepeatedSource(
-            repeated(maps, exemplar.texel_size, within, bits).maps, exemplar.texel_size
-        )
+        tile = repeated(maps, exemplar.texel_size, within, bits)
+        return RepeatedSource(tile.maps, exemplar.texel_size)
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors, and a description for JSON; the inverse of read()."""
@@ -215,7 +198,6 @@ class Example:
         """The example of what stored() returned.
 
         Args:
-            about: the description.
             tensor: returns the bytes of a name.
 
         Raises:
@@ -224,9 +206,8 @@ class Example:
         exemplar = Exemplar.read(about["exemplar"], lambda name: tensor(f"exemplar.{name}"))
         bits = detail_bits(exemplar)
         width, height = exemplar.size
-        index = Index.read(
-            about["index"], lambda name: tensor(f"index.{name}"), (width >> bits, height >> bits)
-        )
+        size = width >> bits, height >> bits
+        index = Index.read(about["index"], lambda name: tensor(f"index.{name}"), size)
         return Example(exemplar, index, bounded(about.get("variety", 1.0), "variety", 0.0, 1.0))
 
     def varied(self, variety: float | None) -> Example:
@@ -250,9 +231,7 @@ class Example:
         """
         lookup, shown = self._ready.lookup, self._ready.shown
         own, levels = area.coarser(shown.bits), len(lookup.levels)
-        votes = [
-            Votes.of(band, area, period, shown.bits, levels) for band in range(len(shown.bands))
-        ]
+        votes = [Votes.of(k, area, period, shown.bits, levels) for k in range(len(shown.bands))]
         read = {0: own}
         for one in votes:
             read[one.level] = read.get(one.level, one.wanted).united(one.wanted)
@@ -308,7 +287,7 @@ class Example:
 
 
 @dataclass(frozen=True)
-class ExampleSource:
+class ExampleSource(ArraySource):
     """The by-example field of one exemplar and seed; picklable."""
 
     example: Example
@@ -327,23 +306,9 @@ class ExampleSource:
         """Channels of F0: 1, or 3 where it has a colour."""
         return len(self.example.exemplar.specular)
 
-    @property
-    def device_type(self) -> str:
-        """Device that computes it."""
-        return "cpu"
-
-    def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
-        import torch
-
-        return torch.from_numpy(self._stacked(block))
-
-    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) maps and normal of a block."""
-        return with_normals(self._stacked(block), self.texel_size, normal)
-
-    def _stacked(self, block: Rectangle) -> NDArray[np.float32]:
-        return self.example.maps(self.seed, block.grown(RING), self.period)
+    def around(self, area: Rectangle) -> NDArray[np.float32]:
+        """Stacked maps (6 or 8, height, width) of any area."""
+        return self.example.maps(self.seed, area, self.period)
 
 
 def patch_sizes(example: Example) -> PatchSizes:
@@ -373,11 +338,9 @@ def _seam_correlations(lookup: Lookup, bands: tuple[Band, ...]) -> tuple[float, 
 
 def _coarser(period: Period | None, bits: int) -> Period | None:
     """A period in steps of 2^bits texels."""
-    return (
-        None
-        if period is None
-        else (period[0] and period[0] >> bits, period[1] and period[1] >> bits)
-    )
+    if period is None:
+        return None
+    return period[0] and period[0] >> bits, period[1] and period[1] >> bits
 
 
 def known_part(exemplar: Exemplar, multiple: int, part: Frame | None = None) -> Rectangle:
@@ -428,7 +391,6 @@ def coarse_places(example: Example, seed: int, level: int, area: Rectangle) -> P
     """(height, width, 2) int16: x, y of the exemplar at each square's upper left texel.
 
     Args:
-        example: the indexed exemplar.
         seed: in [-2^63, 2^63).
         level: squares are 2^level texels wide; at least detail_bits of the exemplar.
         area: in squares.
@@ -469,7 +431,6 @@ def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
     """Read the exemplar of a `.matcap` file, or None if it has none.
 
     Args:
-        path: of the file.
         entry: "example", or "drawing" for the exemplar that a decoder draws from.
 
     Raises:
@@ -484,13 +445,10 @@ def read_exemplified(path: Path, entry: str = "example") -> Exemplified | None:
 
 
 def read(about: Mapping[str, Any], file: Any, path: Path, by_example: object) -> Example | None:  # noqa: ANN401
-    """Read the exemplar of an opened material's file, or None if it has none.
+    """Read the exemplar of an opened material's file, or None; `by_example` is unused.
 
     Args:
-        about: the file's JSON description.
         file: opened for NumPy or for PyTorch.
-        path: of the file.
-        by_example: unused.
 
     Raises:
         SafetensorError, DAMAGED (field/header.py): the data are missing or malformed.

@@ -52,8 +52,6 @@ def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDA
     return np.cumsum(values, axis=-1, dtype=kind)
 
 
-# Exemplar: the maps of the photographed rectangle, with a confidence per map and texel.
-#
 # NumPy only, so that the field by example needs no PyTorch.
 #
 # In a file every map is packed 16-bit numbers: half floats, but for height multiples of a power of
@@ -156,9 +154,9 @@ class Exemplar:
         unit, low = _height_coding(self.height)
         return replace(
             self,
-            diffuse=_half(self.diffuse).astype(np.float32),
-            specular=_half(self.specular).astype(np.float32),
-            roughness=_half(self.roughness).astype(np.float32),
+            diffuse=self.diffuse.astype(np.float16).astype(np.float32),
+            specular=self.specular.astype(np.float16).astype(np.float32),
+            roughness=self.roughness.astype(np.float16).astype(np.float32),
             height=_height(_height_codes(self.height, unit, low), unit, low),
             confidence=_confidence(_confidence_codes(self.confidence)),
         )
@@ -167,7 +165,7 @@ class Exemplar:
         """Tensors (bytes, by map), and a description for JSON; the inverse of read()."""
         unit, low = _height_coding(self.height)
         tensors = {
-            name: pack(_half(getattr(self, name)).view(np.uint16))
+            name: pack(getattr(self, name).astype(np.float16).view(np.uint16))
             for name in CHANNELS
             if name != "height"
         }
@@ -187,7 +185,6 @@ class Exemplar:
         """The exemplar of what stored() returned.
 
         Args:
-            about: the description.
             tensor: returns the bytes of a map's name.
 
         Raises:
@@ -227,10 +224,6 @@ class Exemplar:
 def _check_size(width: int, height: int) -> None:
     if not (1 <= width <= _LARGEST_SIDE and 1 <= height <= _LARGEST_SIDE):
         raise ValueError(f"an exemplar of {width} x {height} texels")
-
-
-def _half(values: Floats) -> NDArray[np.float16]:
-    return values.astype(np.float16)
 
 
 def _height_coding(height: Floats) -> tuple[float, int]:

@@ -273,9 +273,7 @@ def _cells(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> tuple
         carrier = np.outer(down, across)
         parts = [np.ascontiguousarray(part) for part in (carrier.real, carrier.imag)]
         for plane, varying, constant in zip(planes, local, cell, strict=True):
-            near = [
-                _blurred(_resized(plane * part, size, cv2.INTER_AREA), deviation) for part in parts
-            ]
+            near = [_blurred(_resized(plane * p, size, cv2.INTER_AREA), deviation) for p in parts]
             mean = [float((weight * one).sum()) for one in near]
             rms = math.sqrt(float((weight * (near[0] ** 2 + near[1] ** 2)).sum()))
             if math.hypot(*mean) <= _STEADY * rms:

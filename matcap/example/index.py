@@ -1,6 +1,4 @@
-"""Index of an exemplar: grids of the synthesis levels, tables by level, candidates and
-penalties.
-"""
+"""Index of an exemplar: grids of synthesis levels, tables by level, candidates and penalties."""
 
 from __future__ import annotations
 
@@ -121,7 +119,6 @@ class Index:
         """The index of what stored() returned.
 
         Args:
-            about: the description.
             tensor: returns the bytes of a name.
             size: (width, height) of the exemplar's grid of places.
 
@@ -268,9 +265,8 @@ def _low_confidence(exemplar: Exemplar) -> NDArray[np.float64]:
     from 0 at c = min(q - slack, h) to its maximum over the next (doubted - slack), q and h the
     quantiles `trusted` and `free` of c. So the better half of the exemplar has no penalty.
     """
-    means = _square_means(
-        np.exp(np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64))
-    )
+    logs = np.log(exemplar.confidence + _LEAST_TRUST).mean(axis=0, dtype=np.float64)
+    means = _square_means(np.exp(logs))
     # Quantiles are over places that the photograph shows.
     known = means[means > 1.5 * _LEAST_TRUST]
     most, half = np.quantile(known if known.size else means, (_TRUSTED, _FREE))
@@ -338,7 +334,6 @@ def _lattice(
 # A level is a grid of the field with a spacing of 2^level texels. Its neighbourhoods are compared
 # by the appearance of the exemplar smoothed to that spacing, sampled at half of it.
 
-# Tables of the synthesis; docs/notes/field.md.
 _ORDERED = 1  # first level at which phase errors have a cost
 # Placement cost is penalty^2 * 2^cost_bits: 1.3e8 at the penalty 255, more than any seam; 4e5 at
 # 14, as much as a common seam.
@@ -440,7 +435,6 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
 
     Args:
         exemplar: on its grid of places.
-        index: of the exemplar.
         variety: in [0, 1].
     """
     part = index.part or Frame.of(*exemplar.size)

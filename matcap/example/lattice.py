@@ -16,9 +16,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.library import scramble
+from matcap.example.library import Integers, same_cells, scramble, turns_per_texel, whole_turns
 from matcap.field.plane import Period
-from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
+
+Doubles = NDArray[np.float64]
 
 # Measurement of a lattice and its patches; docs/notes/field.md.
 _BINS = 24  # of a turn, for the search for joints
@@ -129,7 +130,6 @@ class PhasedLattice:
         """(..., len(waves)) phases of the field's ideal lattice at (x, y).
 
         Args:
-            seed: of the lattice's random offset.
             x, y: texels, of shapes that broadcast.
             period: of the field; each wave is replaced by the nearest one that repeats in it.
         """
@@ -189,20 +189,13 @@ class Cells:
 
 
 def cells_of(
-    lattice: PhasedLattice,
-    seed: int,
-    x: Integers,
-    y: Integers,
-    period: Period,
-    cells: float = LEAST_PATCH,
+    lattice: PhasedLattice, seed: int, x: Integers, y: Integers, period: Period, cells: float
 ) -> Cells:
     """The lattice patches that texels lie in.
 
     A lattice of one wave is cut across as well (_two).
 
     Args:
-        lattice: of the exemplar.
-        seed: of the lattice's random offset.
         x, y: columns (N,) and rows (M,) of texels.
         period: of the field.
         cells: size of a patch, texels.
@@ -272,9 +265,8 @@ def measure_lattice(
     if not measured or any(one is None for one in measured):
         return None
     fitted = [one for one in measured if one is not None]
-    lattice = PhasedLattice(
-        tuple(wave for wave, _ in fitted), np.stack([bend for _, bend in fitted])
-    )
+    own, bends = zip(*fitted, strict=True)
+    lattice = PhasedLattice(own, np.stack(bends))
     repeats = [_repeats(planes, period) for period in lattice.periods().T / 256.0]
     if not all(repeats):
         kept = tuple(wave for wave, one in zip(waves, repeats, strict=True) if one)
@@ -283,14 +275,13 @@ def measure_lattice(
     return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
 
 
-def _repeats(planes: NDArray[np.floating], period: NDArray[np.float64]) -> bool:
+def _repeats(planes: NDArray[np.floating], period: Doubles) -> bool:
     """Whether planes (C, H, W) are like themselves a period away, more than half a period away."""
     high, wide = planes.shape[1:]
 
     def alike(x: int, y: int) -> float:
-        rows, columns = (
-            np.arange(max(0, -by), side - max(0, by), 4) for by, side in ((y, high), (x, wide))
-        )
+        sides = (y, high), (x, wide)
+        rows, columns = (np.arange(max(0, -by), side - max(0, by), 4) for by, side in sides)
         if not (rows.size and columns.size):
             return 0.0
         here = planes[:, rows[:, None], columns]
@@ -368,7 +359,7 @@ def _measured(
     return mean, np.rint(bend * _TURN).astype(np.int32)
 
 
-def _unwrapped(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unwrapped(turns: Doubles) -> Doubles:
     """(H, W) phase in turns, less whole turns, without jumps: the most reliable steps first."""
     import cv2  # takes a tenth of a second, which synthesis is spared
 
@@ -398,9 +389,7 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
     return (local * weights[:, None, None]).sum(axis=0)
 
 
-def gaussian_windows(
-    length: int, centres: NDArray[np.int64], deviation: float
-) -> NDArray[np.float64]:
+def gaussian_windows(length: int, centres: NDArray[np.int64], deviation: float) -> Doubles:
     """(len(centres), length) Gaussian windows of unit sum."""
     distance = np.arange(length)[None, :] - centres[:, None]
     windows = np.exp(-0.5 * (distance / deviation) ** 2)
@@ -408,10 +397,7 @@ def gaussian_windows(
 
 
 def _plane_fit(
-    columns: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    values: NDArray[np.float64],
-    weight: NDArray[np.float64],
+    columns: NDArray[np.int64], rows: NDArray[np.int64], values: Doubles, weight: Doubles
 ) -> tuple[float, float, float]:
     """(a, b, c) of the weighted least-squares plane a x + b y + c through values on a grid."""
     x, y = np.broadcast_arrays(columns[None, :], rows[:, None])

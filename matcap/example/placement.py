@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.candidates import COST_BITS, SLOPES, Frame
-from matcap.example.library import Hashes, draw, hash_places
-from matcap.field.turns import Integers
+from matcap.example.library import Hashes, Integers, Positions, draw, hash_places
 
 # Placement of patches; docs/notes/field.md.
 # Of new files. Without a rule it is 1: the cost of centres, and no cost of reuse. By 2, patches do
@@ -73,7 +72,7 @@ class Placement:
         """Costs of centres x, y."""
         return self.cost[y >> COST_BITS, x >> COST_BITS]
 
-    def cheapest(self, hashes: Hashes, frame: Frame) -> tuple[Integers, Integers]:
+    def cheapest(self, hashes: Hashes, frame: Frame) -> Positions:
         """For every hash, the centre of least cost among random ones within a frame."""
         x, y = drawn(hashes, 0, frame)
         best = self.at(x, y)
@@ -101,7 +100,7 @@ def _means(cost: NDArray[np.integer], side: int, joined: tuple[int, int] | None)
     return np.asarray((sums[count:] - sums[:-count]) // count, np.int64)
 
 
-def drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integers]:
+def drawn(hashes: Hashes, attempt: int, frame: Frame) -> Positions:
     """A random place within a frame for every hash."""
     return (
         frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1),
@@ -110,7 +109,7 @@ def drawn(hashes: Hashes, attempt: int, frame: Frame) -> tuple[Integers, Integer
 
 
 def reuse_cost(
-    shift: tuple[Integers, Integers],
+    shift: Positions,
     in_field: tuple[int, int],
     sides: tuple[int, int],
     near: int,
@@ -146,7 +145,7 @@ def spread_patches(
     depth: int,
     frame: Frame,
     axes: tuple[PatchNumbers, PatchNumbers],
-) -> tuple[Integers, Integers]:
+) -> Positions:
     """(rows, columns) x, y at the centres of square patches, each of little cost.
 
     Patches have nine colours by their numbers modulo 3. Each is chosen after those of the colours
@@ -207,9 +206,9 @@ def _choose(
     hashes: Hashes,
     frame: Frame,
     axes: tuple[PatchNumbers, PatchNumbers],
-    mine: tuple[Integers, Integers],
+    mine: Positions,
     colour: int,
-    chosen: tuple[Integers, Integers],
+    chosen: Positions,
 ) -> None:
     """Choose the patches in rows and columns `mine`, all of one colour, into `chosen`."""
     across, down = axes

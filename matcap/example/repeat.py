@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
-from matcap.example.blend import with_normals
+from matcap.example.blend import ArraySource
 from matcap.example.candidates import UNIT, choose_scale, planes_of_maps
 from matcap.example.exemplar import COLOURED, DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, Floats
 from matcap.example.lattice import Frequency, PhasedLattice
@@ -25,11 +23,7 @@ from matcap.example.straighten import (
     sheared,
     unbent,
 )
-from matcap.field.plane import RING, Grid, Period, Rectangle
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
+from matcap.field.plane import Grid, Period, Rectangle
 
 # Removes low frequencies of albedo, F0 and roughness, which make a tiling look periodic.
 
@@ -84,18 +78,14 @@ def _less_class_medians(plane: Floats, classes: tuple[NDArray[np.bool_], ...]) -
 
 def _slow(plane: Floats) -> Floats:
     """(H, W) low frequencies of a plane, of zero mean."""
-    parts = [
-        [part for part in np.array_split(np.arange(side), _CELLS) if part.size]
-        for side in plane.shape
-    ]
+    split = (np.array_split(np.arange(side), _CELLS) for side in plane.shape)
+    parts = [[part for part in some if part.size] for some in split]
     rows, columns = parts
     medians = np.array(
         [[np.median(plane[r[0] : r[-1] + 1, c[0] : c[-1] + 1]) for c in columns] for r in rows]
     )
-    middles = [
-        [(part.mean() + 0.5) / side for part in some]
-        for some, side in zip(parts, plane.shape, strict=True)
-    ]
+    sided = zip(parts, plane.shape, strict=True)
+    middles = [[(part.mean() + 0.5) / side for part in some] for some, side in sided]
     down, across = (_waves(np.array(some)) for some in middles)
     amounts = np.linalg.pinv(down) @ medians @ np.linalg.pinv(across).T
     ends = [_waves((np.arange(side) + 0.5) / side) for side in plane.shape]
@@ -111,7 +101,6 @@ def _waves(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 # Maps of a seamless tile by gradient-domain blending: a Poisson equation on a torus.
 
-# The seamless tile; docs/notes/field.md.
 _BLUR = 6.0  # texels over which the step at a seam is spread. Less shows the seam, more a halo.
 
 TileTexels = NDArray[np.int64]
@@ -194,7 +183,7 @@ BLOCKS = Grid(1024, 256)  # wider than a decoder's: for small blocks most time g
 
 
 @dataclass(frozen=True)
-class RepeatedSource:
+class RepeatedSource(ArraySource):
     """A seamless tile, repeated; picklable."""
 
     stacked: Floats
@@ -213,23 +202,8 @@ class RepeatedSource:
         """Channels of F0: 1, or 3 where it has a colour."""
         return len(self.stacked[SPECULAR])
 
-    @property
-    def device_type(self) -> str:
-        """Device of the maps."""
-        return "cpu"
-
-    def maps(self, block: Rectangle) -> Tensor:
-        """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
-        import torch
-
-        return torch.from_numpy(self._around(block))
-
-    def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
-        """(9 or 11, height, width) maps and normal of a block."""
-        return with_normals(self._around(block), self.texel_size, normal)
-
-    def _around(self, block: Rectangle) -> Floats:
-        area = block.grown(RING)
+    def around(self, area: Rectangle) -> Floats:
+        """Stacked maps (6 or 8, height, width) of any area."""
         rows = np.arange(area.y, area.y + area.height) % self.stacked.shape[1]
         columns = np.arange(area.x, area.x + area.width) % self.stacked.shape[2]
         return self.stacked[:, rows[:, None], columns[None, :]]
@@ -243,7 +217,6 @@ class RepeatedSource:
 # 4. Copies shifted by these are joined along seams of least difference in all maps (straighten.py).
 # 5. What still differs at the seams is blended (repeat.py).
 
-# The seamless tile; docs/notes/field.md.
 _DISORDERED = 1.15  # factor on the cost of shifts that do not keep the lattice
 _CALM = 1.0  # largest step across the tile's border over the mean step, in any map; see _usual_line
 
@@ -334,9 +307,8 @@ def _usual_line(maps: Floats, axis: int) -> int:
     """
     steps = np.abs(np.roll(maps, -1, axis) - maps).mean(axis=3 - axis)
     usual = steps.mean(axis=1, keepdims=True)
-    worst = (steps / np.maximum(usual, 1e-6 * np.abs(maps).max(axis=(1, 2))[:, None] + 1e-12)).max(
-        0
-    )
+    least = 1e-6 * np.abs(maps).max(axis=(1, 2))[:, None] + 1e-12
+    worst = (steps / np.maximum(usual, least)).max(0)
     reach = len(worst) // 2
     # Step i is between lines i and i + 1, the last one that across the border.
     distance = np.abs(np.arange(-1 - reach, reach) + 1)
@@ -349,9 +321,8 @@ def _usual_line(maps: Floats, axis: int) -> int:
 
 def _seen(maps: Floats, texel_size: float) -> Planes:
     """(7, H, W) planes that copies are compared by: all but height, in standard deviations."""
-    planes = planes_of_maps(
-        (maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]), texel_size
-    )
+    parts = maps[DIFFUSE], maps[SPECULAR], maps[ROUGHNESS], maps[HEIGHT]
+    planes = planes_of_maps(parts, texel_size)
     scale = choose_scale(planes)
     factors = scale.factors / np.float32(UNIT)
     return ((planes - scale.offsets[:, None, None]) * factors[:, None, None])[:-1]

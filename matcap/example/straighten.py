@@ -303,7 +303,6 @@ def unbent(maps: Floats, lattice: PhasedLattice, bits: int = 0) -> Floats:
     Args:
         maps: (C, H, W).
         lattice: of the maps, in texels 2^bits as large.
-        bits: see lattice.
     """
     turns = lattice.phase_offsets / _TURN
     turns = turns - turns.mean(axis=(1, 2), keepdims=True)
@@ -331,7 +330,6 @@ def sources(
 
     Args:
         move: (2, rows, columns) texels, at every `step` texels.
-        step: see move.
         size: (width, height) of the maps.
         rounds: of the fixed-point iteration from p = texel; more where the move is long.
     """

@@ -17,7 +17,6 @@ from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inne
 
 # The device that computes blocks: the processor or CUDA, and its support of bfloat16.
 
-
 # Their results differ by about 1e-6. An output that was begun on one is therefore never continued
 # on the other (synth/request.py).
 

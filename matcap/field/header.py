@@ -22,15 +22,7 @@ FORMAT = "matcap-material"
 VERSION, VERSIONS = 5, (5, 6)  # of the file; 6 has two generators
 REMEDY = "capture the photograph again, or fetch the file again"
 # Exceptions that reading malformed JSON values can raise.
-DAMAGED = (
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
+DAMAGED = (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
 @contextmanager
@@ -40,7 +32,6 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
     Errors raised inside the context that mean damaged data become a MatcapError.
 
     Args:
-        path: of the file.
         framework: of the tensors that the handle returns, "pt" or "np".
 
     Raises:
@@ -54,9 +45,8 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
         with safe_open(path, framework=framework) as file:
             about = _about(file.metadata(), path)
             if not digest_matches(path, file.metadata()):
-                raise MatcapError.at(
-                    path, "the file is damaged: its content does not match its digest", REMEDY
-                )
+                what = "the file is damaged: its content does not match its digest"
+                raise MatcapError.at(path, what, REMEDY)
             yield file, about
     except (SafetensorError, OSError) as error:
         raise MatcapError.at(path, "this is not a material, or it is damaged", REMEDY) from error

@@ -63,9 +63,7 @@ GENERATORS: Mapping[Generator, str] = {
     "decoder": "matcap.space.tuned",
 }
 
-
 PartKind = TypeVar("PartKind")
-
 
 CODE, LATENT = 64, 72  # numbers of a latent vector, and of a position in the prior's space
 
@@ -254,9 +252,8 @@ class Material:
             generators: dict[Generator, FieldGenerator] = {}
             for name in (name for name in GENERATORS if name in about):
                 by_example = generators.get("example")
-                generators[name] = import_module(GENERATORS[name]).read(
-                    about, file, path, by_example
-                )
+                reader = import_module(GENERATORS[name])
+                generators[name] = reader.read(about, file, path, by_example)
             if not generators:
                 raise ValueError("nothing in it makes maps")
             return Material(

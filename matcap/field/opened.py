@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
 
-
 # Provenance entry of maps that are the exemplar itself, made to repeat.
 REPEATS = {"tile": "piece"}
 

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matcap.brdf.stated import NormalSource
     from matcap.field.source import Generator
 
-
 # Options of reading maps from a material or a map set, shared by several commands.
 
 
@@ -62,7 +61,6 @@ class ReadOptions(CheckedSettings):
 
 
 AS_IT_IS = ReadOptions()
-
 
 # Options of what draws materials from the prior, and of what blends two; space is not loaded.
 

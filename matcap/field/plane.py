@@ -14,7 +14,6 @@ from matcap.files.settings import Rectangle as Rectangle
 #
 # Imports no PyTorch, for a fast start.
 
-
 # Period of a field in texels along x and y; None for an axis along which it never repeats.
 Period = tuple[int | None, int | None]
 

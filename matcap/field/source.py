@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from matcap.brdf.maps import MapSet
 
-
 # Thread pool whose threads run PyTorch operators on one core each.
 #
 # A block is computed on one thread, so that the number of cores changes no bit.
@@ -52,7 +51,7 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
 
     with ThreadPoolExecutor(workers, initializer=prepare) as pool:
         for _ in range(workers):
-            pool.submit(_nothing)
+            pool.submit(int)  # an empty task, so that the pool starts a thread
         ready.wait()
         torch.set_num_threads(threads)
         yield pool
@@ -81,12 +80,7 @@ def compute_alone() -> None:
         torch.set_num_threads(1)
 
 
-def _nothing() -> None:
-    """Empty task, submitted so that the pool starts a thread."""
-
-
 # Protocols of generators, and of the sources that blocks of a field are read from.
-
 
 # "example" rearranges the exemplar; "decoder" is the paper's network.
 Generator = Literal["example", "decoder"]
@@ -99,35 +93,28 @@ class Source(Protocol):
     @property
     def texel_size(self) -> float:
         """A texel's side in plane units."""
-        ...
 
     @property
     def grid(self) -> Grid:
         """The grid of blocks."""
-        ...
 
     @property
     def period(self) -> Period | None:
         """Period along (x, y), texels; None if the field never repeats."""
-        ...
 
     @property
     def specular_channels(self) -> int:
         """Channels of F0: 1, or 3 where it has a colour."""
-        ...
 
     @property
     def device_type(self) -> str:
         """Device that computes it: "cpu" or "cuda"."""
-        ...
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps (6 or 8, height + 2 RING, width + 2 RING) of a block and its ring."""
-        ...
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9 or 11, height, width) maps and normal of a block."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -168,21 +155,17 @@ class FieldGenerator(Protocol):
     @property
     def alignment(self) -> int:
         """Texels: periods of its field are multiples of this."""
-        ...
 
     @property
     def texel_size(self) -> float:
         """A texel's side in plane units."""
-        ...
 
     @property
     def piece_size(self) -> tuple[int, int] | None:
         """(width, height) of its exemplar in texels, or None."""
-        ...
 
     def piece(self) -> MapSet | None:
         """Maps of its exemplar, or None."""
-        ...
 
     def varied(self, variety: float) -> FieldGenerator:
         """A copy of another variety (ReadOptions.variety).
@@ -190,7 +173,6 @@ class FieldGenerator(Protocol):
         Raises:
             UsageError: out of range, or it has no exemplar.
         """
-        ...
 
     def source(self, seed: int, period: Period | None, device: torch.device) -> Source:
         """The field of a seed and period, computed on a device.
@@ -198,7 +180,6 @@ class FieldGenerator(Protocol):
         Raises:
             UsageError: a seed or period out of range.
         """
-        ...
 
     def repeating(self) -> MapSet:
         """Maps of its exemplar as a seamless tile, each side about three quarters of its own.
@@ -206,7 +187,6 @@ class FieldGenerator(Protocol):
         Raises:
             UsageError: it has no exemplar, or too small a one.
         """
-        ...
 
     def in_file(
         self, by_example: FieldGenerator | None = None
@@ -215,7 +195,6 @@ class FieldGenerator(Protocol):
 
         `by_example` is the generator whose exemplar the file has already.
         """
-        ...
 
 
 class Generated(Protocol):
@@ -223,12 +202,10 @@ class Generated(Protocol):
 
     def by(self, generator: Generator | None) -> Generated:
         """A copy with only this generator; itself for None."""
-        ...
 
     @property
     def generator(self) -> FieldGenerator:
         """The generator that makes its maps."""
-        ...
 
 
 def planes_of(source: Source, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:

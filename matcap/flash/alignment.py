@@ -228,11 +228,8 @@ class Shortcut(nn.Module):
 
 def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
     """Two 3 x 3 convolutions with a shortcut."""
-    layers = [
-        *convolution(inputs, outputs, 3, stride),
-        nn.ReLU(inplace=True),
-        *convolution(outputs, outputs, 3),
-    ]
+    first, second = convolution(inputs, outputs, 3, stride), convolution(outputs, outputs, 3)
+    layers = [*first, nn.ReLU(inplace=True), *second]
     return Shortcut(layers, inputs, outputs, stride)
 
 
@@ -290,10 +287,8 @@ class PictureTilt(nn.Module):
             nn.ReLU(inplace=True),
             *(residual_block(before, width, 2) for before, width in pairwise((16, *_WIDTHS))),
         )
-        inputs = _WIDTHS[-1] * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + CONDITIONS
-        self.hidden = nn.Sequential(
-            nn.Linear(inputs, 192), nn.ReLU(), nn.Linear(192, 64), nn.ReLU()
-        )
+        count = _WIDTHS[-1] * _GRID[0] * _GRID[1] + 3 * _BLURRED[0] * _BLURRED[1] + CONDITIONS
+        self.hidden = nn.Sequential(nn.Linear(count, 192), nn.ReLU(), nn.Linear(192, 64), nn.ReLU())
         self.head = nn.Linear(64, 4)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)

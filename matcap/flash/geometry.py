@@ -172,6 +172,16 @@ class Extent:
 OWN = Extent()
 
 
+def points_of(
+    size: torch.Size | tuple[int, ...], rows: slice = slice(None), extent: Extent = OWN
+) -> Tensor:
+    """(3, h, w) plane points of a grid (height, width), or of some rows of it."""
+    height, width = size
+    top, bottom, _ = rows.indices(height)
+    points = plane_points(0, top, width, bottom - top, (width, height), dtype=torch.float32)
+    return extent.placed(points)
+
+
 @dataclass(frozen=True)
 class Margins:
     """Margins of a mosaic around the first photograph's grid, texels."""

@@ -135,7 +135,6 @@ def elongation(light: Luminance, highlight: Highlight) -> float:
 
     Args:
         light: (h, w) the linear picture.
-        highlight: found in it.
     """
     blur = min(_ELONGATION_BLUR, 0.3 * highlight.width)
     blurred = _blur(light, blur * light.shape[1] / 2.0)
@@ -265,9 +264,8 @@ def remaining_highlight(
         area_averaged(plane, size) for plane in (log, known.astype(np.float32), distance / step)
     )
     surroundings = _ring_means(total, share, _WIDEST, _WIDEST + _AROUND)
-    rings = [
-        _z_scores(total, share, surroundings, distances, i) for i in range(0, _WIDEST, _RING_WIDTH)
-    ]
+    inner = range(0, _WIDEST, _RING_WIDTH)
+    rings = [_z_scores(total, share, surroundings, distances, each) for each in inner]
     centre = np.unravel_index(int(distances.argmin()), distances.shape)
     radius = _radius([float(ring[centre]) for ring in rings]) if distances[centre] <= 1.0 else 0
     discs = np.nan_to_num(rings[0])
@@ -315,7 +313,6 @@ def _ring_means(total: Floats, share: Floats, inner: int, outer: int) -> Floats:
     """(h, w) means over the ring around each cell; NaN where much of it is outside the picture."""
     radius = np.hypot(*np.ogrid[-outer : outer + 1, -outer : outer + 1])
     ring = ((radius >= inner) & (radius < outer)).astype(np.float32)
-    sums, counts = (
-        cv2.filter2D(plane, -1, ring, borderType=cv2.BORDER_CONSTANT) for plane in (total, share)
-    )
+    border = cv2.BORDER_CONSTANT
+    sums, counts = (cv2.filter2D(each, -1, ring, borderType=border) for each in (total, share))
     return np.where(counts > _INSIDE * ring.sum(), sums / np.maximum(counts, 1e-6), np.nan)

@@ -73,7 +73,6 @@ def conjugate_gradients(
 
     Args:
         product: A x, with A symmetric and positive definite; its result is overwritten.
-        right: the right-hand side.
         iterations: most of them.
         preconditioned: an approximation of A^-1 r.
         tolerance: norm of the residual r over that at the start, at which they end, both weighted

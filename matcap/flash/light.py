@@ -208,13 +208,10 @@ def linearised(
     coloured F0, the lobe is that of its mean.
 
     Args:
-        light: at the texels.
         normal: (3, H, W) unit normals.
-        surface: reflectance.
     """
-    incident, lobe, slanted = light.log_gradient(
-        normal, surface.specular.mean(0, keepdim=True), surface.roughness
-    )
+    grey = surface.specular.mean(0, keepdim=True)
+    incident, lobe, slanted = light.log_gradient(normal, grey, surface.roughness)
     log, share = incident.log_radiance(surface)
     others = (1.0 - share) * lobe[:, None]
     others[2:] += slanted[:, None]
@@ -336,7 +333,6 @@ def uniform_radiance(
     """Radiance (..., 3, H, W) of the uniform material under its flash, and its diffuse part.
 
     Args:
-        uniform: the material and its setup.
         light: of that setup, at (3, H, W) points.
         slopes: (dh/dx, dh/dy), (..., 1, H, W) each; flat by default.
         duller: added to the logit of roughness.

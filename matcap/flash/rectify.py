@@ -31,7 +31,6 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     """Resample a photograph to the plane rectangle x in [-1, 1]; radiance is not changed.
 
     Args:
-        photo: the photograph.
         setup: its geometry; only field of view and tilt matter here.
         detail: texels along the long side.
 
@@ -43,24 +42,6 @@ def rectify(photo: Photo, setup: FlashSetup, detail: int) -> tuple[Tensor, Tenso
     valid = inside(linear.shape[:2], setup) & (clipped < CLIPPED_SHARE)
     valid &= kept(photo, setup, detail)
     return planes_of(linear), torch.from_numpy(valid)
-
-
-def measured(photo: Photo, setup: FlashSetup, detail: int) -> Tensor:
-    """(3, H, W) bool: where each channel is inside of the photograph and not clipped.
-
-    A sparkle clipped in red can still be valid in green and blue.
-    """
-    clipped = _resampled(photo.full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
-    seen = inside(clipped.shape[:2], setup)[..., None] & (clipped < CLIPPED_SHARE)
-    seen &= kept(photo, setup, detail)[..., None]
-    return planes_of(seen)
-
-
-def rectify_noise(photo: Photo, setup: FlashSetup, detail: int) -> Tensor | None:
-    """(3, H, W) noise sample of a photograph, resampled as by `rectify`; None if unknown."""
-    if photo.noise is None:
-        return None
-    return planes_of(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
 
 
 def kept(photo: Photo, setup: FlashSetup, detail: int) -> NDArray[np.bool_]:
@@ -96,10 +77,8 @@ def inside(shape: tuple[int, ...], setup: FlashSetup) -> NDArray[np.bool_]:
     """(H, W) bool, texels inside of the picture; `rectify` mirrors the others at its border."""
     height, width = shape
     column, row = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)[:, None]
-    x, y, w = (
-        a * column + (b * row + c)
-        for a, b, c in _homography(setup, (width, height), (width, height))
-    )
+    homography = _homography(setup, (width, height), (width, height))
+    x, y, w = (a * column + (b * row + c) for a, b, c in homography)
     return (x > -0.5 * w) & (x < (width - 0.5) * w) & (y > -0.5 * w) & (y < (height - 0.5) * w)
 
 
@@ -219,15 +198,13 @@ class Plane:
         noise = None if self.noise is None else mean(self.noise)
         left_out = None if self.left_out is None else ~whole(~self.left_out[None])[0]
         shrunk = plane_of(linear, valid, noise, self.encoding.limit)
-        return replace(
-            shrunk, channels=whole(self.measured), left_out=left_out, developed=self.developed
-        )
+        channels = whole(self.measured)
+        return replace(shrunk, channels=channels, left_out=left_out, developed=self.developed)
 
     def over(self, margins: Margins, known: Tensor) -> Plane:
         """The plane padded to the grid of a mosaic, invalid beyond its own texels.
 
         Args:
-            margins: of the mosaic.
             known: (H, W) bool on the mosaic; texels that are not known are masked.
         """
 
@@ -250,18 +227,20 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
     """Rectify a photograph to the plane's grid.
 
     Args:
-        photo: the photograph.
         setup: its geometry; only field of view and tilt matter here.
         detail: texels along the long side.
     """
     linear, valid = rectify(photo, setup, detail)
-    whole = plane_of(linear, valid, rectify_noise(photo, setup, detail), photo.headroom)
-    shown = torch.from_numpy(inside(valid.shape, setup) & kept(photo, setup, detail))
-    left_out = None if bool(shown.all()) else ~shown
+    full = _resampled(photo.full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
+    shown = inside(valid.shape, setup) & kept(photo, setup, detail)
+    noise = None
+    if photo.noise is not None:
+        noise = planes_of(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
     return replace(
-        whole,
-        channels=measured(photo, setup, detail),
-        left_out=left_out,
+        plane_of(linear, valid, noise, photo.headroom),
+        # A sparkle clipped in red can still be valid in green and blue.
+        channels=planes_of(shown[..., None] & (full < CLIPPED_SHARE)),
+        left_out=None if shown.all() else torch.from_numpy(~shown),
         developed=not (photo.radiometric or photo.floating),
     )
 

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from matcap.example.library import Integers, same_cells, turns_per_texel, whole_turns
 from matcap.field.plane import Period, Rectangle
-from matcap.field.turns import Integers, same_cells, turns_per_texel, whole_turns
 from matcap.statistics.lattice import Wave
 
 # A rectangle of one realisation of the random field, at a mip level.
@@ -138,7 +138,7 @@ def noise_at(seed: int, channels: int, columns: Tensor, rows: Tensor) -> Tensor:
 # correlation beyond its receptive field; periodic inputs give it the phase of the lattice
 # everywhere [bergmann2017]. Two kinds of channel, both of zero mean and unit variance:
 #
-# - *waves*: cosine and sine of plane waves, with a random phase by the seed (field/turns.py).
+# - *waves*: cosine and sine of plane waves, with a random phase by the seed (example/library.py).
 # - *cells*: noise that is constant over each cell of the lattice, for tiles, planks and threads
 #   that differ from each other and have sharp borders.
 

@@ -13,9 +13,8 @@ import torch
 from report_schema import check_report
 
 from matcap.brdf.maps import MapSet
-from matcap.capture import both_generators
-from matcap.capture.both_generators import choose
-from matcap.capture.by_decoder import photograph_target
+from matcap.capture import by_decoder
+from matcap.capture.by_decoder import choose, photograph_target
 from matcap.capture.pipeline import capture_into, capture_photo
 from matcap.capture.rectified import Method, Rectified, fit_photograph
 from matcap.capture.report import read_report
@@ -52,7 +51,7 @@ SETTINGS = CaptureSettings(detail=DETAIL)
 @pytest.fixture(scope="module")
 def captured(one_coarse_fit, tmp_path_factory):
     """Result, folder and progress of a capture by a generator, fine-tuned in a step or two."""
-    real = both_generators.TuneSettings
+    real = by_decoder.TuneSettings
 
     @cache
     def of(generator):
@@ -60,7 +59,7 @@ def captured(one_coarse_fit, tmp_path_factory):
         steps = 2 if generator == "decoder" else None
         settings = replace(SETTINGS, generator=generator, steps=steps)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(both_generators, "TuneSettings", lambda _, **given: real(1, **given))
+            patch.setattr(by_decoder, "TuneSettings", lambda *_, **own: real(**{"steps": 1} | own))
             result = capture_into(folder, [PHOTO], settings, OutputSettings((32, 32)), lines.append)
         return result, folder, lines
 
@@ -181,7 +180,7 @@ def test_an_interrupt_keeps_the_material_by_example(monkeypatch):
     def interrupted(*_args, **_named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(both_generators, "tuned_decoder", interrupted)
+    monkeypatch.setattr(by_decoder, "tuned_decoder", interrupted)
     result = capture_photo(load_photo(PHOTO, long_side=DETAIL), SETTINGS)
     assert result.status is RunStatus.INTERRUPTED and set(result.material.generators) == {"example"}
 

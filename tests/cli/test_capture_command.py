@@ -30,8 +30,9 @@ from matcap.capture.settings import (
     SHOWN_STAGES,
     CaptureClock,
     CaptureSettings,
+    slowness,
+    within_time,
 )
-from matcap.capture.time_limit import slowness, within_time
 from matcap.cli.display import ShareDisplay
 from matcap.errors import UsageError
 from matcap.files.exr import read_exr

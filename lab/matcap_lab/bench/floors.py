@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview.mosaic import STEEPEST, sees
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points

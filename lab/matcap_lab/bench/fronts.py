@@ -23,7 +23,7 @@ from typing import Any
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.inspection import inspect_file
 from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.errors import MatcapError

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.network.network import ERRORS, ExpectedErrors, Inverse, NetworkAnswer
+from matcap.capture.exemplar.predict import seen_colour, specular_tint
 from matcap.flash.light import shade
 from matcap_lab.experiment.results import markdown
 from matcap_lab.inverse.samples import HELD_OUT, PackedSet, Sample, draw_sample

@@ -23,7 +23,6 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import Reflectance, SurfaceParameters, dot
 from matcap.brdf.maps import normals_from_height
-from matcap.capture.exemplar.material_classes import seen_colour, specular_tint
 from matcap.capture.exemplar.network.network import (
     FORMAT,
     VERSION,
@@ -33,6 +32,7 @@ from matcap.capture.exemplar.network.network import (
     NetworkAnswer,
     read_inverse,
 )
+from matcap.capture.exemplar.predict import seen_colour, specular_tint
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
 from matcap.flash.light import FlashLight

@@ -2,7 +2,7 @@
 
 In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. The network predicts
 maps (predict.py); relief is scaled to the energies that the photograph measures
-(relief_spectrum.py), and texels are classified (material_classes.py); mean parameters and albedo
+(relief_spectrum.py), and texels are classified (predict.py); mean parameters and albedo
 are refined until the maps re-render to the photograph (refine.py); hidden maps are inpainted
 (inpaint.py), fine detail and the exposure are added (detail_transfer.py, mean_parameters.py); the
 result is indexed for synthesis.
@@ -18,14 +18,18 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
-from matcap.brdf.maps import CHANNELS, MapSet
+from matcap.brdf.maps import CHANNELS
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import find_mixture, tinted
 from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import Inverse
-from matcap.capture.exemplar.observation import Observation, channel_weights
-from matcap.capture.exemplar.predict import NetworkPrediction, exemplar_of, predict_maps
+from matcap.capture.exemplar.predict import (
+    NetworkPrediction,
+    exemplar_of,
+    find_mixture,
+    predict_maps,
+    tinted,
+)
 from matcap.capture.exemplar.refine import radiance_residual, refine_maps, refitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
@@ -35,7 +39,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     measure_relief_spectrum,
     smoothed,
 )
-from matcap.capture.rectified import Rectified
+from matcap.capture.rectified import Observation, Rectified, channel_weights
 from matcap.capture.settings import CaptureClock
 from matcap.example.candidates import Frame
 from matcap.example.example import Example
@@ -142,15 +146,12 @@ def estimate_exemplar(
 
     Args:
         rectified: the photograph on its plane.
-        network: the inverse network (network/network.py).
-        clock: of the stages.
         known: what is known of its means, so that no prior is used.
         turned: whether the photograph is a portrait.
     """
     whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
-    observed, prediction, spectrum = refined(
-        plane, rectified.coarse, network, clock, bound=not known.absolute
-    )
+    bound = not known.absolute
+    observed, prediction, spectrum = refined(plane, rectified.coarse, network, clock, bound=bound)
     coarse = observed.coarse
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
@@ -193,9 +194,8 @@ def refined(
         observed, prediction = predict_maps(bounded, network)
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
-        observed, prediction = classified(
-            observed, scaled_to_spectrum(observed, prediction, spectrum)
-        )
+        prediction = scaled_to_spectrum(observed, prediction, spectrum)
+        observed, prediction = classified(observed, prediction)
     with clock.stage("refine"):
         prediction = refine_maps(observed, prediction, spectrum)
     return observed, prediction, spectrum
@@ -294,9 +294,3 @@ def classified(
     gloss = torch.from_numpy(observed.specular_fraction) * observed.plane.valid
     constrained = classes.constrained(prediction.residuals, gloss)
     return observed, replace(prediction, residuals=constrained, classes=classes)
-
-
-def map_set_of(exemplar: Exemplar) -> MapSet:
-    """An exemplar's maps as a map set."""
-    stacked = torch.from_numpy(exemplar.stacked())
-    return MapSet.from_stacked(stacked, exemplar.texel_size)

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import Reflectance
-from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR, MapSet
-from matcap.capture.exemplar.observation import Observation, PhotographLight
+from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR
+from matcap.capture.exemplar.predict import map_set_of
+from matcap.capture.rectified import Observation, PhotographLight
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight
@@ -91,9 +92,8 @@ class Copies:
         from_rows = rows + np.rint(by[0] * enlarged(down)[rows, columns]).astype(np.int64)
         from_columns = columns + np.rint(by[1] * enlarged(right)[rows, columns]).astype(np.int64)
         copied = planes.copy()
-        copied[:, rows, columns] = planes[
-            :, from_rows.clip(0, height - 1), from_columns.clip(0, width - 1)
-        ]
+        source = from_rows.clip(0, height - 1), from_columns.clip(0, width - 1)
+        copied[:, rows, columns] = planes[:, *source]
         return copied
 
 
@@ -103,7 +103,6 @@ def inpainted(exemplar: Exemplar, observed: Observation) -> tuple[Exemplar, Copi
     Args:
         exemplar: estimated maps and their confidence, which also falls to 0 in the highlight's
             remainder.
-        observed: its photograph.
 
     Returns:
         The exemplar, and what it is copied from; None if nothing is.
@@ -229,7 +228,7 @@ class _Photograph:
         # Log radiance is steep where it begins to clip.
         self._valid = torch.from_numpy(~_around(~valid.numpy()))
         self._light = light
-        maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+        maps = map_set_of(exemplar)
         planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
         self._maps = planes.movedim(0, -1).numpy().copy()  # a texel's numbers lie together
         # Log radiance of the mean material, subtracted from both sides of a comparison.

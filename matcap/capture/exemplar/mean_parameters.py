@@ -1,6 +1,4 @@
-"""Albedo, F0 and roughness of material classes from the highlight's profile, and the exposure
-prior.
-"""
+"""Mean albedo, F0 and roughness of classes by the highlight's profile, and the exposure prior."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ from matcap.brdf.cook_torrance import (
     SurfaceParameters,
 )
 from matcap.brdf.maps import normals_from_height
-from matcap.capture.exemplar.observation import Observation
+from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE
@@ -38,7 +36,7 @@ from matcap.flash.light import DARKEST, FlashLight
 # prior of materials: dielectrics have F0 near 0.04 (index of refraction 1.5) whatever their albedo,
 # which spans two orders of magnitude; metals have a high F0 and no diffuse albedo. So the ratio of
 # F0 to albedo, which a highlight measures, determines both: black leather with F0 three times its
-# albedo is black. Where texels are classified as metal or dielectric (material_classes.py), each
+# albedo is black. Where texels are classified as metal or dielectric (predict.py), each
 # part has the prior of its own class, and metal that of its colour: gold is brighter than steel.
 # See docs/notes/capture.md.
 
@@ -224,7 +222,6 @@ class RingTarget:
         """The photograph around its mirror point, with a surface.
 
         Args:
-            observed: the photograph.
             residuals: log parameters of the surface less those of the coarse fit.
             metal: whether each of its classes is metal.
         """
@@ -296,10 +293,8 @@ class RingTarget:
         surfaces = []
         for of_class, tint in zip(theta, self.tints, strict=True):
             surface = self.surface + SurfaceParameters.from_vector(of_class)
-            specular, roughness = surface.specular.exp() * tint, torch.sigmoid(surface.roughness)
-            surfaces.append(
-                Reflectance(surface.diffuse.exp() * one, specular * one, roughness * one)
-            )
+            f0, roughness = surface.specular.exp() * tint, torch.sigmoid(surface.roughness)
+            surfaces.append(Reflectance(surface.diffuse.exp() * one, f0 * one, roughness * one))
         return surfaces
 
 
@@ -336,7 +331,6 @@ def fit_mean_parameters(
     """(K, 5) mean parameters fitted to the ring means, and their mean absolute log residual.
 
     Args:
-        target: the photograph.
         shares: (K, H, W) share of each class in each texel; they sum to 1.
         start: (K, 5) initial values.
         prior: of the result.

@@ -52,7 +52,6 @@ from matcap.brdf.cook_torrance import (
     ROUGHNESS_LIMITS,
     SurfaceParameters,
 )
-from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
@@ -60,8 +59,7 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.observation import Observation, PhotographLight, channel_weights
-from matcap.capture.exemplar.predict import NetworkPrediction
+from matcap.capture.exemplar.predict import NetworkPrediction, map_set_of
 from matcap.capture.exemplar.relief_spectrum import (
     WIDE,
     BandEnergies,
@@ -71,9 +69,12 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
+from matcap.capture.rectified import Observation, PhotographLight, channel_weights
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
 from matcap.flash.light import DARKEST
+
+Floats = NDArray[np.float32]
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
 
@@ -122,8 +123,6 @@ def refine_maps(
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph.
 
     Args:
-        observed: the photograph.
-        prediction: its maps.
         spectrum: measured in the photograph, or None.
     """
     plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
@@ -203,7 +202,6 @@ def _fitted_mean_parameters(
     """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
 
     Args:
-        observed: the photograph.
         prediction: the maps with their classes.
         texels: short side of the grid of the fit, at least.
     """
@@ -211,19 +209,15 @@ def _fitted_mean_parameters(
     target = RingTarget.of(observed, prediction.residuals, classes.metal)
     step = max(1, min(target.distance.shape) // texels)
     shares = classes.shares[:, ::step, ::step]
-    deviation = torch.tensor(
-        [_METAL_DEVIATIONS if metal else _DIELECTRIC_DEVIATIONS for metal in classes.metal]
-    )
+    deviations = _DIELECTRIC_DEVIATIONS, _METAL_DEVIATIONS
+    deviation = torch.tensor([deviations[metal] for metal in classes.metal])
     start = torch.zeros_like(classes.mean_parameters)
-    return fit_mean_parameters(
-        target.thinned(texels), shares, start, MeanParameterPrior(start, deviation)
-    )
+    prior = MeanParameterPrior(start, deviation)
+    return fit_mean_parameters(target.thinned(texels), shares, start, prior)
 
 
 @torch.no_grad()
-def refitted_to_highlight(
-    exemplar: Exemplar, observed: Observation, metal: NDArray[np.float32]
-) -> Exemplar:
+def refitted_to_highlight(exemplar: Exemplar, observed: Observation, metal: Floats) -> Exemplar:
     """F0 and roughness scaled so that the finished relief, of any place, shows the highlight.
 
     Relief under the highlight, to which they were fitted, is replaced by inpainting, and fields
@@ -232,12 +226,11 @@ def refitted_to_highlight(
 
     Args:
         exemplar: the inpainted maps.
-        observed: their photograph.
         metal: (H, W) share of metal in each texel.
     """
     if observed.plane.encoding.limit <= 1.0:
         return exemplar
-    maps = MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+    maps = map_set_of(exemplar)
     residuals = observed.light.residuals(maps)
     target = replace(
         RingTarget.of(observed, residuals, (bool(metal.any()),)),
@@ -261,10 +254,7 @@ def refitted_to_highlight(
 
 
 def flatten(
-    residuals: SurfaceParameters,
-    confidence: NDArray[np.float32],
-    distances: Sequence[NDArray[np.float32]],
-    unit: float,
+    residuals: SurfaceParameters, confidence: Floats, distances: Sequence[Floats], unit: float
 ) -> SurfaceParameters:
     """Remove from albedo (of metal: F0) low frequencies, and rings around given points: the
     flash's mirror point, and the vignetting's centre.
@@ -291,9 +281,7 @@ def flatten(
     return replace(residuals, diffuse=even(residuals.diffuse), specular=even(residuals.specular))
 
 
-def _rings(
-    planes: NDArray[np.float32], distance: NDArray[np.float32], weight: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _rings(planes: Floats, distance: Floats, weight: Floats) -> Floats:
     """(C, H, W) means of planes over rings around a point, shrunk by their uncertainty.
 
     The mean m of a ring becomes m max(1 - e^2 / m^2, 0) (James-Stein), where the standard error e
@@ -313,7 +301,7 @@ def _rings(
     count = int(ring.max()) + 1
     part = (ring * _SECTORS + sector).ravel()
 
-    def sums(values: NDArray[np.float32]) -> NDArray[np.float64]:
+    def sums(values: Floats) -> NDArray[np.float64]:
         flat = np.bincount(part, values.ravel(), count * _SECTORS)
         return flat.reshape(count, _SECTORS).astype(np.float64)
 
@@ -348,10 +336,8 @@ def refine_albedo(
 
     Args:
         residuals: of the exemplar from the coarse fit.
-        errors: expected errors of the prediction.
         linear: (3, H, W) the photograph on the plane's grid.
         valid: (H, W) or (3, H, W) bool, visible and not clipped.
-        light: the photograph's own.
         metal: (1, H, W) share of metal in each texel.
         noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
     """
@@ -467,7 +453,6 @@ def scaled_by_glints(
         residuals: of the exemplar from the coarse fit.
         linear: (3, H, W) the photograph on the plane's grid.
         measured: (3, H, W) bool: not clipped.
-        light: the photograph's own.
         noise: (3, H, W) standard deviation of log radiance.
         spectrum: measured in the photograph, or None.
     """
@@ -508,16 +493,14 @@ def _denoised(energy: NDArray[np.float64], variance: float) -> NDArray[np.float6
     return (energy - 0.75 * variance * 0.25 ** np.arange(len(energy))[::-1]).clip(0.0)
 
 
-def _squared_bands(
-    plane: NDArray[np.float32], region: NDArray[np.bool_], around: float
-) -> NDArray[np.float32]:
+def _squared_bands(plane: Floats, region: NDArray[np.bool_], around: float) -> Floats:
     """(bands, H, W) squares of a plane's bands over a region (H, W), longest first."""
     plane = filled(plane, region)
     plane = plane - smoothed(plane, around)
     return np.square(split(np.where(region, plane, np.float32(0.0)))[:-1])
 
 
-def _scatter(squares: NDArray[np.float32], region: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _scatter(squares: Floats, region: NDArray[np.bool_]) -> NDArray[np.float64]:
     """(bands,) relative deviation of energies of _CELLS x _CELLS parts of a picture."""
     rows, columns = (np.arange(side) * _CELLS // side for side in region.shape)
     cells = (rows[:, None] * _CELLS + columns)[region]

@@ -1,5 +1,5 @@
 """Stage relief spectrum: octave bands, energies of relief and albedo by band, and relief scaled to
-them.
+them (docs/notes/capture.md).
 """
 
 from __future__ import annotations
@@ -17,16 +17,11 @@ from numpy.typing import NDArray
 
 from matcap.photo.left_out import area_averaged
 
-# Octave bands of a plane, and wide Gaussian blurs computed at reduced resolution.
-
 # Longest and shortest wavelength of each band, texels.
 BANDS = tuple(pairwise((64.0, 32.0, 16.0, 8.0, 4.0, 2.8, 2.0)))
-# Octave bands of a plane; docs/notes/capture.md.
 COARSER = 8  # subsampling, texels, of wide blurs. Larger values are faster and leave cells.
 # The long side over the standard deviation of the blur that takes light and shading, not texture.
 WIDE = 12.0
-# Pole of the cubic B-spline's inverse, and its taps on either side: 0.268^12 is 1.4e-7.
-_POLE, _SPLINE_REACH = np.sqrt(3.0) - 2.0, 12
 _FEW = 0.2  # share of a transform's sides below which a product of matrices is faster than it
 _SOFT = 0.25  # octaves, half width of the transition between bands. Smaller values ring.
 
@@ -56,39 +51,6 @@ def enlarged(plane: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
     """Interpolate a plane bilinearly to `shape` (H, W)."""
     size = (shape[1], shape[0])
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def spline_enlarged(plane: ChannelPlane, size: tuple[int, int]) -> ChannelPlane:
-    """Interpolate a plane (H, W) to (width, height) by cubic B-splines [unser1999].
-
-    Quadratics are reproduced inside, so that slopes of heights are kept; OpenCV's cubic kernel errs
-    in them by 0.77 to 1.33, periodically. Borders are mirrored.
-    """
-    taps = np.arange(-_SPLINE_REACH, _SPLINE_REACH + 1)
-    inverse = np.sqrt(3.0) * _POLE ** np.abs(taps)
-    filtered = cv2.sepFilter2D(plane, cv2.CV_32F, inverse, inverse, borderType=cv2.BORDER_REFLECT)
-    down = _spline_rows(np.asarray(filtered, np.float32), size[1])
-    return np.ascontiguousarray(_spline_rows(np.ascontiguousarray(down.T), size[0]).T)
-
-
-def _spline_rows(nodes: ChannelPlane, count: int) -> ChannelPlane:
-    """Values of cubic B-splines with coefficients `nodes` (N, W) at `count` rows."""
-    at = (np.arange(count) + 0.5) * (len(nodes) / count) - 0.5
-    first = np.floor(at).astype(np.int64)
-    t = (at - first).astype(np.float32)
-    weights = (
-        (1.0 - t) ** 3 / 6.0,
-        2.0 / 3.0 - t * t * (1.0 - t / 2.0),
-        2.0 / 3.0 - (1.0 - t) ** 2 * (1.0 + t) / 2.0,
-        t**3 / 6.0,
-    )
-    values = np.zeros((count, nodes.shape[1]), np.float32)
-    for step, weight in enumerate(weights, -1):
-        index = first + step
-        index = np.where(index < 0, -1 - index, index)
-        index = np.where(index >= len(nodes), 2 * len(nodes) - 1 - index, index)
-        values += weight[:, None] * nodes[index.clip(0, len(nodes) - 1)]
-    return values
 
 
 def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
@@ -171,8 +133,6 @@ def _ramp(octave: ChannelPlane) -> ChannelPlane:
     return np.asarray(0.5 + 0.5 * np.sin(np.pi / 2 * (octave / _SOFT).clip(-1.0, 1.0)), np.float32)
 
 
-# Stage relief spectrum: energies of relief and albedo by band, and relief scaled to them.
-#
 # In come a photograph and predicted relief, out go the energies that the photograph measures, in
 # closed form (measure_relief_spectrum), and relief with these energies (equalise).
 #
@@ -288,14 +248,11 @@ def measure_relief_spectrum(
         return None
     # Interpolated texels are smooth and lack energy.
     energy = _window_energies(log, cuts) / seen[seen >= _LEAST_SEEN, None, None]
-    window = _WINDOW
-    white = noise**2 * _sums(np.ones((window, window)), _bins()) / window**2
+    white = noise**2 * _sums(np.ones((_WINDOW, _WINDOW)), _bins()) / _WINDOW**2
     energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
     albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
-    return ReliefSpectrum(
-        albedo=np.sqrt(albedo), slope=np.sqrt(slope), deviation=np.sqrt(np.square(error).sum(1))
-    )
+    return ReliefSpectrum(np.sqrt(albedo), np.sqrt(slope), np.sqrt(np.square(error).sum(1)))
 
 
 def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
@@ -331,9 +288,8 @@ def _responses(
     for cut in cuts:
         weight = counts * use[cut]
         d, (x, y) = matte[cut], sensitivity[(slice(None), *cut)]
-        responses.append(
-            [(weight * v).sum() / weight.sum() for v in (d * d, x, y, x * x, x * y, y * y)]
-        )
+        total, products = weight.sum(), (d * d, x, y, x * x, x * y, y * y)
+        responses.append([(weight * product).sum() / total for product in products])
     return np.array(responses, np.float64)
 
 
@@ -586,9 +542,8 @@ class BandEnergies:
     @staticmethod
     def of(height: Height, spectrum: ReliefSpectrum) -> BandEnergies:
         """Squared slopes of a height (H, W) in texels, and those measured in the photograph."""
-        return BandEnergies(
-            slope_energies(height), np.square(spectrum.slope).sum(1), spectrum.deviation
-        )
+        measured = np.square(spectrum.slope).sum(1)
+        return BandEnergies(slope_energies(height), measured, spectrum.deviation)
 
 
 def posterior_factors(*energies: BandEnergies) -> Doubles:

@@ -30,11 +30,18 @@ from matcap.capture.multiview.texels import (
     stepped,
     under_fitted_ambient,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, ShrunkPicture, ViewWarp
-from matcap.capture.registration.adjust import Pair, adjust
+from matcap.capture.multiview.views import (
+    Resampled,
+    ResampledView,
+    SharedLight,
+    ShrunkPicture,
+    ViewWarp,
+)
 from matcap.capture.registration.camera import (
     Doubles,
+    Pair,
     PosedCamera,
+    adjust,
     grid_points,
     to_pixels,
     transformed,
@@ -189,21 +196,14 @@ def _relief(parameters: Tensor, texel_size: float, unit: float) -> NDArray[np.fl
 
 
 def _initial(
-    views: Sequence[ResampledView],
-    coarser: Tensor | None,
-    prior: ParameterPrior,
-    light: SharedLight,
-    steps: int,
+    views: Resampled, coarser: Tensor | None, prior: ParameterPrior, light: SharedLight, steps: int
 ) -> Tensor:
     """(PARAMETERS, H, W) parameters of a grid, after Gauss-Newton steps.
 
     Args:
-        views: photographs on the grid.
         coarser: parameters of the coarser grid to start from; None to start from the prior mean,
             under a light that is fitted to it.
-        prior: of the parameters.
         light: of the photographs.
-        steps: number of steps.
     """
     if coarser is not None:
         parameters = F.interpolate(coarser[None], size=prior.mean.shape[1:], mode="bilinear")[0]

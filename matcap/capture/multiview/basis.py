@@ -39,13 +39,13 @@ from matcap.capture.multiview.texels import (
     ParameterPrior,
     SharedMaterials,
     as_photographed,
-    points_of,
     robust_cost,
     stepped,
     with_gloss,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import Resampled, ResampledView, SharedLight, light_at
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
+from matcap.flash.geometry import points_of
 from matcap.flash.light import Incident
 
 # Settings of the fit; docs/notes/several.md.
@@ -97,7 +97,7 @@ def with_basis(alignment: Aligned, prediction: Estimate) -> tuple[Aligned, Estim
 
 
 def fit_basis(
-    views: Sequence[ResampledView], prediction: Estimate, light: SharedLight
+    views: Resampled, prediction: Estimate, light: SharedLight
 ) -> tuple[SharedMaterials, SharedLight] | None:
     """The materials that predict held-back photographs best, and the light fitted with them.
 
@@ -116,7 +116,7 @@ def fit_basis(
 class _Fit:
     """Materials, and the texels under them."""
 
-    views: Sequence[ResampledView]
+    views: Resampled
     prediction: Estimate
     """The network's, whose albedo is the prior of dielectrics'."""
     basis: SharedMaterials
@@ -128,7 +128,7 @@ class _Fit:
     """(PARAMETERS or more, H, W) of the texels."""
 
     @staticmethod
-    def begun(views: Sequence[ResampledView], prediction: Estimate, light: SharedLight) -> _Fit:
+    def begun(views: Resampled, prediction: Estimate, light: SharedLight) -> _Fit:
         """One material: the prediction."""
         prior = ParameterPrior.of(prediction)
         light = replace(light, gloss=torch.zeros_like(prior.gloss_deviation))
@@ -225,7 +225,7 @@ class _Fit:
         return self.scaled(torch.minimum(off, math.log(_MOST_F0) - brightest)[None])
 
 
-def _chosen(views: Sequence[ResampledView], small: Estimate, light: SharedLight) -> _Fit | None:
+def _chosen(views: Resampled, small: Estimate, light: SharedLight) -> _Fit | None:
     """The fit of the best number of materials to all photographs; None for one."""
     held_out = [n for n in range(1, len(views)) if n % _HELD_OUT == _HELD_OUT - 1]
     kept = [n for n in range(len(views)) if n not in held_out]
@@ -243,9 +243,7 @@ def _chosen(views: Sequence[ResampledView], small: Estimate, light: SharedLight)
     return None if best == 1 else _fitted(views, small, light, best)
 
 
-def _fitted(
-    views: Sequence[ResampledView], small: Estimate, light: SharedLight, count: int
-) -> _Fit:
+def _fitted(views: Resampled, small: Estimate, light: SharedLight, count: int) -> _Fit:
     """Alternate between materials, texels and shares, from `count` clusters.
 
     One material is the prediction with its own F0 and roughness.
@@ -297,7 +295,7 @@ def _colour_costs(features: Tensor, shares: Tensor) -> Tensor:
     return torch.stack(costs).reshape(shares.shape)
 
 
-def _reflected(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
+def _reflected(views: Resampled, light: SharedLight) -> Tensor:
     """(n, 3, H, W) radiance over irradiance of the flat plane, NaN where not seen."""
     lit = _on_flat_plane(views, light, views[0].log.shape[-2:])
     return torch.stack(
@@ -308,16 +306,14 @@ def _reflected(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
     )
 
 
-def _on_flat_plane(
-    views: Sequence[ResampledView], light: SharedLight, size: tuple[int, ...]
-) -> list[Incident]:
+def _on_flat_plane(views: Resampled, light: SharedLight, size: tuple[int, ...]) -> list[Incident]:
     """Each photograph's light on the flat plane, on a grid of `size` = (rows, columns)."""
     points, up = points_of(size, extent=views[0].extent), torch.zeros(3, *size)
     up[2] = 1.0
     return [light_at(n, view, light, points).onto(up) for n, view in enumerate(views)]
 
 
-def _dimmest(views: Sequence[ResampledView], light: SharedLight) -> Tensor:
+def _dimmest(views: Resampled, light: SharedLight) -> Tensor:
     """(3, H, W) mean of the dimmest half of the photographs of each texel, over irradiance."""
     reflected = _reflected(views, light)
     order = reflected.sum(1, keepdim=True).nan_to_num(torch.inf).argsort(0).expand_as(reflected)
@@ -459,7 +455,7 @@ def _refined(shares: Floats, fine: Floats) -> Floats:
     return np.asarray(sharp / sharp.sum(0), np.float32)
 
 
-def _lobes(views: Sequence[ResampledView], light: SharedLight) -> list[Tensor]:
+def _lobes(views: Resampled, light: SharedLight) -> list[Tensor]:
     """(n, 1, h, w) specular radiance over irradiance of F0 = 1 on flat cells, by roughness."""
     height, width = (max(1, side // _CELL) for side in views[0].log.shape[-2:])
     lit = _on_flat_plane(views, light, (height, width))
@@ -470,7 +466,6 @@ def _lobes(views: Sequence[ResampledView], light: SharedLight) -> list[Tensor]:
 def _cell_means(reflected: Tensor, share: Tensor) -> Tensor:
     """(n, 3, h, w) means over the texels of a material in each cell, NaN without enough of them."""
     weight = share * ~reflected.isnan().any(1, keepdim=True)
-    mean, count = (
-        functional.avg_pool2d(each, _CELL) for each in (reflected.nan_to_num(0.0) * weight, weight)
-    )
+    sums = reflected.nan_to_num(0.0) * weight, weight
+    mean, count = (functional.avg_pool2d(each, _CELL) for each in sums)
     return (mean / count.clamp_min(1e-6)).where(count > 0.2, torch.nan)

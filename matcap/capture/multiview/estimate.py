@@ -20,17 +20,20 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
-from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, map_set_of, refined
+from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, refined
 from matcap.capture.exemplar.inpaint import inpainted
-from matcap.capture.exemplar.material_classes import Classes
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
-from matcap.capture.exemplar.observation import Observation
-from matcap.capture.exemplar.predict import NetworkPrediction, confidence_of, exemplar_of
+from matcap.capture.exemplar.predict import (
+    Classes,
+    NetworkPrediction,
+    confidence_of,
+    exemplar_of,
+    map_set_of,
+)
 from matcap.capture.exemplar.refine import fitted_to_highlight
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
-from matcap.capture.multiview.ambient_light import SLOW, without_ambient
 from matcap.capture.multiview.basis import with_basis
 from matcap.capture.multiview.mosaic import (
     Mosaic,
@@ -44,8 +47,8 @@ from matcap.capture.multiview.pair import on_albedo
 from matcap.capture.multiview.set_report import LeaveOneOut, SetReport, leave_one_out
 from matcap.capture.multiview.solve import ROUNDS, Solved, solve
 from matcap.capture.multiview.texels import Estimate
-from matcap.capture.multiview.views import ResampledView
-from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.multiview.views import SLOW, Resampled, ResampledView, without_ambient
+from matcap.capture.rectified import Observation, Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import Registration, register_in_any_order
 from matcap.capture.settings import CaptureClock, RunStatus
@@ -59,6 +62,7 @@ from matcap.photo.photo import Photo
 from matcap.statistics.lattice import Wave
 
 Result = TypeVar("Result")
+Floats = NDArray[np.float32]
 
 # Steps per texel in each round, on a grid that starts from the solution of one half as fine.
 _FINER: tuple[int, ...] = (1,)
@@ -68,12 +72,7 @@ _COARSE_SHARE = 0.4  # of the time
 
 @torch.no_grad()
 def estimate_multiview(
-    photos: Sequence[Photo],
-    network: Inverse,
-    detail: int,
-    clock: CaptureClock,
-    *,
-    union: bool = False,
+    photos: Sequence[Photo], network: Inverse, detail: int, clock: CaptureClock, *, union: bool
 ) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
@@ -172,7 +171,7 @@ def registered(
 @torch.no_grad()
 def predict_alone(
     plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock
-) -> tuple[Estimate, ReliefSpectrum | None, NDArray[np.float32]]:
+) -> tuple[Estimate, ReliefSpectrum | None, Floats]:
     """Estimate from one photograph alone, on its plane's texels.
 
     Returns:
@@ -214,10 +213,8 @@ def _solved(
     (across, down), coarser, share = prior.maps.size, None, 0.0
     if alignment.extent.unit(across) >= 2 * _COARSE:
         share, size = _COARSE_SHARE, (round(across / 2), round(down / 2))
-        small, progress = (
-            prior.resized(size[::-1], alignment.extent),
-            clock.callback("solve", 0.0, share),
-        )
+        small = prior.resized(size[::-1], alignment.extent)
+        progress = clock.callback("solve", 0.0, share)
         coarser = solve(alignment.on_grid(*size), small, alignment.light, on_progress=progress)
         alignment = replace(alignment, relief=coarser.maps.height[0].numpy(), light=coarser.light)
     views, rounds = alignment.on_grid(across, down), ROUNDS if coarser is None else _FINER
@@ -242,9 +239,7 @@ def _whole(
     )
 
 
-def _inpainted(
-    observed: Observation, estimate: Estimate, views: Sequence[ResampledView]
-) -> Exemplar:
+def _inpainted(observed: Observation, estimate: Estimate, views: Resampled) -> Exemplar:
     """The solved maps, inpainted under the highlight.
 
     Of one material, relief and mean parameters are fitted to the first photograph's highlight, as
@@ -269,11 +264,7 @@ def _inpainted(
 
 
 def _indexed(
-    photo: Photo,
-    exemplar: Exemplar,
-    metal: NDArray[np.float32],
-    waves: tuple[Wave, ...],
-    mosaic: Mosaic,
+    photo: Photo, exemplar: Exemplar, metal: Floats, waves: tuple[Wave, ...], mosaic: Mosaic
 ) -> tuple[Exemplar, Example, float]:
     """The exemplar, its index, and the factor on its albedo and F0 (mean_parameters.py)."""
     known = photo.flash_intensity is not None

@@ -188,7 +188,6 @@ def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Ma
     """(h, w) whether plane points (3, h, w) project into a picture, at less than an angle.
 
     Args:
-        camera: of the picture.
         points: with z = 0, plane units.
         up: height of the picture over its width.
         steepest: largest angle of a ray to the plane's normal, degrees.
@@ -268,7 +267,6 @@ def predicted_beyond(
     Args:
         alignment: registration and light of the photographs.
         first: the first one's prediction, extrapolated over the mosaic (spread_over).
-        mosaic: its extent.
         coarse: fit of the first, whose mean material all share.
         predict: predicts the maps of one photograph on its own plane.
     """
@@ -280,11 +278,10 @@ def predicted_beyond(
             own = own_plane(view.camera, alignment.light, number)
             plane = read_plane(view.photo, own.setup, mosaic.size[0])
             prediction = predict(plane, replace(coarse, setup=own.setup))
-            over = resampled(prediction, own, alignment, number, first.maps.size)
-            count = max(len(others), len(over.parameters))
-            weighted = over.weight * with_channels(over.parameters, count)
-            others = with_channels(others, count) + weighted
-            errors, total = errors + over.weight * over.log_error, total + over.weight
+            over, error, weight = resampled(prediction, own, alignment, number, first.maps.size)
+            count = max(len(others), len(over))
+            others = with_channels(others, count) + weight * with_channels(over, count)
+            errors, total = errors + weight * error, total + weight
     inside = mosaic.margins.own(mosaic.size).numpy().astype(np.uint8)
     within = np.asarray(cv2.distanceTransform(inside, cv2.DIST_L2, 3), np.float32)
     # Where nothing is predicted, at the outermost borders, the extrapolated first one is left.
@@ -301,26 +298,16 @@ def with_channels(parameters: Tensor, count: int) -> Tensor:
     return F.pad(parameters, (0, 0, 0, 0, 0, count - len(parameters)))
 
 
-class PredictedBeyond(NamedTuple):
-    """A photograph's prediction on the first one's plane."""
-
-    parameters: Tensor
-    """(PARAMETERS or more, H, W)."""
-    log_error: Tensor
-    """(4, H, W)."""
-    weight: Tensor
-    """(H, W), 0 at the photograph's border and beyond."""
-
-
 def resampled(
     prediction: Estimate, own: OwnPlane, alignment: Aligned, number: int, size: tuple[int, int]
-) -> PredictedBeyond:
-    """Resample photograph `number`'s prediction from its own plane to the first one's.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Photograph `number`'s prediction, resampled from its own plane to the first one's.
+
+    Parameters (PARAMETERS or more, H, W), log errors (4, H, W), and their weight (H, W), which is 0
+    at the photograph's border and beyond.
 
     Args:
         prediction: the network's, on its photograph's plane.
-        own: frame of its plane (own_plane).
-        alignment: registration of the photographs.
         number: of the photograph.
         size: (across, down) texels of the grid.
     """
@@ -339,11 +326,8 @@ def resampled(
     parameters = over(parameters_of(maps), cv2.INTER_LINEAR)
     parameters[SLOPES] = slopes_of(height_over, warp.extent.texel(size[0]))
     within = np.minimum(np.minimum(x, width - 1 - x), np.minimum(y, height - 1 - y))
-    return PredictedBeyond(
-        parameters=parameters,
-        log_error=over(prediction.log_error, cv2.INTER_LINEAR),
-        weight=torch.from_numpy(_faded(within, width)),
-    )
+    weight = torch.from_numpy(_faded(within, width))
+    return parameters, over(prediction.log_error, cv2.INTER_LINEAR), weight
 
 
 def _faded(within: NDArray[np.float32], width: int) -> NDArray[np.float32]:

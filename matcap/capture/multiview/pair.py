@@ -14,7 +14,6 @@ measured by octave and direction in the ratio as they are in one photograph
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -34,11 +33,18 @@ from matcap.capture.exemplar.relief_spectrum import (
     smoothed,
     split,
 )
-from matcap.capture.multiview.ambient_light import GRADIENT_DEVIATION, UNIFORM_SKY, Views
-from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives, points_of
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives
+from matcap.capture.multiview.views import (
+    GRADIENT_DEVIATION,
+    UNIFORM_SKY,
+    Resampled,
+    SharedLight,
+    Views,
+    light_at,
+)
 from matcap.capture.registration.camera import Doubles, camera_of, grid_points, transformed
 from matcap.capture.registration.keypoints import log_on_grid
+from matcap.flash.geometry import points_of
 
 Floats = NDArray[np.float32]
 
@@ -133,13 +139,12 @@ class Ratio:
     """(H, W) 1 where both are valid, else 0."""
 
     @staticmethod
-    def of(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Ratio:
+    def of(views: Resampled, parameters: Tensor, light: SharedLight) -> Ratio:
         """Ratio of the first to the last photograph, linearised about a flat surface.
 
         Args:
             views: the first with flash, the last without.
             parameters: (PARAMETERS, H, W) current; F0, roughness and mean albedo are used.
-            light: of all photographs.
         """
         first, last, size = views[0], views[-1], parameters.shape[1:]
         points = points_of(size, extent=first.extent)
@@ -164,9 +169,7 @@ class Ratio:
         return Ratio(log, sensitivity, flash_share.mean(0).numpy(), use)
 
 
-def with_ambient_gradient(
-    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
-) -> SharedLight:
+def with_ambient_gradient(views: Resampled, parameters: Tensor, light: SharedLight) -> SharedLight:
     """Estimate the gradient of ambient light (SharedLight.ambient) from the contrast of the ratio.
 
     Isotropic relief of slope energy S has the energy A + S |g - l|^2 / 2 in the ratio, with its
@@ -191,9 +194,8 @@ def with_ambient_gradient(
     weight: Doubles = np.ones_like(measured)
     for _ in range(8):
         normal = (terms * weight) @ terms.T
-        fitted = np.linalg.solve(
-            normal + 1e-9 * np.trace(normal) * np.eye(4), terms @ (weight * measured)
-        )
+        damped = normal + 1e-9 * np.trace(normal) * np.eye(4)
+        fitted = np.linalg.solve(damped, terms @ (weight * measured))
         weight = 1.0 / np.square(np.maximum(fitted @ terms, 0.2 * measured.mean()))
     linear, squared = slice(1, 3), 3  # of the terms
     relief = max(float(fitted[squared]), 1e-9)
@@ -211,7 +213,7 @@ def with_ambient_gradient(
 
 
 def scaled_by_ratio(
-    height: Tensor, views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+    height: Tensor, views: Resampled, parameters: Tensor, light: SharedLight
 ) -> Tensor:
     """Scale a height's slope energies by octave and direction to those measured in the ratio.
 

@@ -102,16 +102,13 @@ def leave_one_out(
     fitted to it.
 
     Args:
-        alignment: registration of the photographs.
         solved: solution by all, whose light is the initial value.
         prediction: its prior.
         alone: maps by the first photograph.
         begun: its light, as its coarse fit has it.
     """
-    extent = alignment.extent
-    small, own, by_all = (
-        each.coarser(_ACROSS, extent) for each in (prediction, alone, solved.estimate)
-    )
+    estimates = prediction, alone, solved.estimate
+    small, own, by_all = (each.coarser(_ACROSS, alignment.extent) for each in estimates)
     views, whole = alignment.on_grid(*small.maps.size), replace(solved, estimate=by_all)
     lit = [number for number, view in enumerate(views) if view.flash]
     if len(lit) < 2:
@@ -138,9 +135,6 @@ def left_out_residual(
     """
     rendered = as_photographed(view, parameters_of(maps), light)
     return float((view.log - rendered)[view.seen].abs().nanmedian()), rendered
-
-
-# Report on several photographs of one sample: cameras, residuals, measured shares.
 
 
 @dataclass(frozen=True)

@@ -26,14 +26,13 @@ from matcap.capture.multiview.texels import (
     derivatives,
     log_rendered,
     normal_equations,
-    points_of,
     solved_in_place,
     weights,
     with_gloss,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, by_vignetting, light_at
+from matcap.capture.multiview.views import Resampled, SharedLight, by_vignetting, light_at
 from matcap.capture.registration.camera import Doubles
-from matcap.flash.geometry import OWN
+from matcap.flash.geometry import OWN, points_of
 from matcap.flash.light import DifferentiableLight
 
 _ROUNDING = 1e-5  # damping of the diagonal against rounding in single precision
@@ -96,7 +95,7 @@ class _SharedParameters(NamedTuple):
 
 
 def shared_step(
-    views: Sequence[ResampledView],
+    views: Resampled,
     parameters: Tensor,
     prior: ParameterPrior,
     light: SharedLight,
@@ -110,7 +109,6 @@ def shared_step(
     Args:
         views: photographs on the grid; the first one's registration is fixed.
         parameters: (PARAMETERS, H, W) current estimate.
-        prior: of the parameters.
         light: current estimate.
         sampled: texels to which the parameters are fitted.
         moved: indices of photographs to register; the others get the identity.
@@ -149,7 +147,7 @@ def shared_step(
 
 
 def _deviations(
-    views: Sequence[ResampledView],
+    views: Resampled,
     light: SharedLight,
     start: _SharedParameters,
     prior: ParameterPrior,
@@ -167,7 +165,7 @@ def _deviations(
     )
 
 
-def _chosen(views: Sequence[ResampledView], count: int) -> Tensor:
+def _chosen(views: Resampled, count: int) -> Tensor:
     """(1, count) random texel indices; in a mosaic, of texels that two photographs show."""
     generator = torch.Generator().manual_seed(0)
     chosen = torch.randint(views[0].log[0].numel(), (1, count), generator=generator)
@@ -267,10 +265,8 @@ class _Equations:
         solved = solved_in_place(system).nan_to_num(0.0, 0.0, 0.0)
         coupling = self.texels[PARAMETERS + 1 :].movedim(1, 0)
         eliminated = (coupling.double() @ solved.double().mT).sum(0)
-        matrix, right = (
-            self.shared[:, :-1] - eliminated[:, 1:],
-            self.shared[:, -1] - eliminated[:, 0],
-        )
+        matrix = self.shared[:, :-1] - eliminated[:, 1:]
+        right = self.shared[:, -1] - eliminated[:, 0]
         return matrix, right, solved[:, 0], solved[:, 1:]
 
 
@@ -278,7 +274,7 @@ class _Equations:
 class _SharedFit:
     """The least-squares problem at N sampled texels."""
 
-    views: Sequence[ResampledView]
+    views: Resampled
     """The photographs at these texels, (3, 1, N)."""
     points: Tensor
     """(3, 1, N) plane points."""
@@ -293,7 +289,7 @@ class _SharedFit:
 
     @staticmethod
     def of(
-        views: Sequence[ResampledView],
+        views: Resampled,
         chosen: Tensor,
         prior: ParameterPrior,
         light: SharedLight,
@@ -364,9 +360,8 @@ class _SharedFit:
             return torch.stack(columns), indices
         columns += [*torch.eye(3)[..., None].expand(-1, -1, log.shape[-1])]
         columns += [*-self.by_move[number][:, :, 0]] if self.by_move else []
-        return torch.stack(columns), torch.cat(
-            [indices, index.gain[number - 1], index.move[number - 1]]
-        )
+        indices = torch.cat([indices, index.gain[number - 1], index.move[number - 1]])
+        return torch.stack(columns), indices
 
 
 def _homography(move: Tensor) -> Doubles:

@@ -23,7 +23,6 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.relief_spectrum import smoothed
-from matcap.capture.multiview.ambient_light import SLOW
 from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.shared import SAMPLED, shared_step
 from matcap.capture.multiview.surface import (
@@ -42,13 +41,13 @@ from matcap.capture.multiview.texels import (
     log_rendered,
     maps_of,
     parameters_of,
-    points_of,
     slopes_of,
     stepped,
     under_fitted_ambient,
     with_gloss,
 )
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
+from matcap.capture.multiview.views import SLOW, Resampled, SharedLight, light_at
+from matcap.flash.geometry import points_of
 from matcap.flash.light import strips
 
 # Per-texel steps in each round; each begins with a fit of the shared parameters.
@@ -104,7 +103,7 @@ class Solved:
 class _Iterate:
     """The solution after a Gauss-Newton step."""
 
-    views: Sequence[ResampledView]
+    views: Resampled
     """Photographs; of the ambient one, low frequencies are those of the rendered maps."""
     light: SharedLight
     """Fitted shared parameters."""
@@ -120,10 +119,7 @@ class _Iterate:
 
     @staticmethod
     def initial(
-        views: Sequence[ResampledView],
-        prediction: Estimate,
-        light: SharedLight,
-        coarser: Solved | None,
+        views: Resampled, prediction: Estimate, light: SharedLight, coarser: Solved | None
     ) -> _Iterate:
         """The prediction, or the upsampled solution of a coarser grid; arguments as of solve."""
         prior, error, energies = ParameterPrior.of(prediction), 0.0, tuple[float, ...]()
@@ -174,17 +170,15 @@ class _Iterate:
         light, _ = shared_step(views, parameters, free, self.light, sampled)
         parameters = with_gloss(parameters, self.prior.shares, light.gloss - self.light.gloss)
         step = replace(self.step, parameters=parameters)
-        return replace(
-            self, views=views, light=light, widened=widened.with_gloss_of(light), step=step
-        )
+        widened = widened.with_gloss_of(light)
+        return replace(self, views=views, light=light, widened=widened, step=step)
 
     def stepped(self, *, jackknife: bool) -> _Iterate:
         """A Gauss-Newton step of all texels."""
         changed = SLOPES if jackknife else None
         parameters = self.step.parameters
-        return replace(
-            self, step=stepped(self.views, parameters, self.widened, self.light, changed=changed)
-        )
+        step = stepped(self.views, parameters, self.widened, self.light, changed=changed)
+        return replace(self, step=step)
 
     def high_passed(self) -> _Iterate:
         """End a round: remove low frequencies of slopes."""
@@ -210,7 +204,7 @@ class _Iterate:
 
 @torch.no_grad()
 def solve(
-    views: Sequence[ResampledView],
+    views: Resampled,
     prediction: Estimate,
     light: SharedLight,
     coarser: Solved | None = None,
@@ -322,10 +316,8 @@ def _continued(prior_mean: Tensor, prior: MapSet, coarser: Solved) -> Tensor:
     small = functional.interpolate(prior.stacked()[None].float(), size=size, mode="area")[0]
     coarse = MapSet.from_stacked(small, coarser.maps.texel_size)
     change = parameters_of(coarser.maps) - parameters_of(coarse)
-    return (
-        prior_mean
-        + functional.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
-    )
+    wide = functional.interpolate(change[None], size=prior_mean.shape[1:], mode="bilinear")[0]
+    return prior_mean + wide
 
 
 def _without_slow(slopes: Tensor, unit: float) -> Tensor:
@@ -339,7 +331,7 @@ def _without_slow(slopes: Tensor, unit: float) -> Tensor:
 
 
 def _step_at_fixed_slopes(
-    views: Sequence[ResampledView], parameters: Tensor, prior: ParameterPrior, light: SharedLight
+    views: Resampled, parameters: Tensor, prior: ParameterPrior, light: SharedLight
 ) -> Tensor:
     """Parameters after a step with slopes fixed, albedo denoised (surface.py)."""
     step = stepped(views, parameters, prior, light, slopes=False, changed=ALBEDO)
@@ -360,9 +352,7 @@ def _log_errors(precision: Tensor, prior: ParameterPrior) -> Tensor:
     return torch.stack([albedo, deviation[F0], deviation[ROUGH], slope]).log()
 
 
-def _residuals(
-    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
-) -> tuple[Tensor, ...]:
+def _residuals(views: Resampled, parameters: Tensor, light: SharedLight) -> tuple[Tensor, ...]:
     """(3, n) absolute residuals of log radiance of each photograph, from a quarter of the rows.
 
     NaN where it is not seen.

@@ -149,9 +149,7 @@ def prediction_error(
     Arguments as of denoised.
     """
     octaves = list(_octaves(measured, predicted, changes))
-    long = [
-        octave for octave, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4
-    ]
+    long = [one for one, (_, shortest) in zip(octaves, _OCTAVES, strict=False) if shortest >= 4]
     return sum(octave.error for octave in octaves), np.array([octave.energy for octave in long])
 
 

@@ -29,9 +29,15 @@ from matcap.brdf.cook_torrance import (
     SurfaceParameters,
 )
 from matcap.brdf.maps import MapSet, normals_from_height, normals_from_slopes
-from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit
-from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
-from matcap.flash.geometry import OWN, Extent, plane_points
+from matcap.capture.multiview.views import (
+    AmbientLight,
+    Resampled,
+    ResampledView,
+    SharedLight,
+    evenly_lit,
+    light_at,
+)
+from matcap.flash.geometry import OWN, Extent, points_of
 from matcap.flash.light import DifferentiableLight, linearised, strips
 
 # Parameters of a texel besides ALBEDO, F0 and ROUGH, their number, and the channels of each part.
@@ -210,9 +216,8 @@ class ParameterPrior:
 
     def at(self, chosen: Tensor) -> ParameterPrior:
         """Of some texels, indices (1, N)."""
-        mean, deviation, shares = (
-            each.flatten(1)[:, chosen] for each in (self.mean, self.deviation, self.shares)
-        )
+        parts = self.mean, self.deviation, self.shares
+        mean, deviation, shares = (each.flatten(1)[:, chosen] for each in parts)
         return replace(self, mean=mean, deviation=deviation, shares=shares)
 
     @property
@@ -282,16 +287,6 @@ def slopes_of(height: Tensor, texel_size: float) -> Tensor:
     return -normal[:2] / normal[2:]
 
 
-def points_of(
-    size: torch.Size | tuple[int, ...], rows: slice = slice(None), extent: Extent = OWN
-) -> Tensor:
-    """(3, h, w) plane points of a grid (height, width), or of some rows of it."""
-    height, width = size
-    top, bottom, _ = rows.indices(height)
-    points = plane_points(0, top, width, bottom - top, (width, height), dtype=torch.float32)
-    return extent.placed(points)
-
-
 def log_rendered(parameters: Tensor, lights: Sequence[DifferentiableLight]) -> list[Tensor]:
     """Log radiance (3, h, w) of parameters (PARAMETERS, h, w) in each light."""
     normal, surface = _surface(parameters)
@@ -320,7 +315,7 @@ def _tinted(log_f0: Tensor, parameters: Tensor) -> Tensor:
 
 
 def under_fitted_ambient(
-    views: Sequence[ResampledView], parameters: Tensor, light: SharedLight
+    views: Resampled, parameters: Tensor, light: SharedLight
 ) -> list[ResampledView]:
     """Replace the ambient photograph's low frequencies by those of the rendered parameters."""
 
@@ -337,7 +332,7 @@ def weights(residual: Tensor, seen: Tensor, variance: Tensor | float) -> Tensor:
     return seen * kept / variance
 
 
-def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: SharedLight) -> Tensor:
+def robust_cost(views: Resampled, parameters: Tensor, light: SharedLight) -> Tensor:
     """(H, W) sum over photographs and channels of the cost whose weights are `weights`."""
     points = points_of(parameters.shape[-2:], extent=views[0].extent)
     lights = [light_at(k, view, light, points) for k, view in enumerate(views)]
@@ -350,7 +345,7 @@ def robust_cost(views: Sequence[ResampledView], parameters: Tensor, light: Share
 
 
 def stepped(
-    views: Sequence[ResampledView],
+    views: Resampled,
     parameters: Tensor,
     prior: ParameterPrior,
     light: SharedLight,
@@ -361,10 +356,7 @@ def stepped(
     """A Gauss-Newton step at every texel, and the jackknife changes of some parameters.
 
     Args:
-        views: photographs on the grid.
         parameters: (PARAMETERS, H, W) current estimate.
-        prior: of the parameters.
-        light: of all photographs.
         slopes: whether slopes move; if not, their precision is 0.
         changed: parameters whose changes without each photograph are computed; None for none.
     """
@@ -464,12 +456,7 @@ def solved(
 
 
 def _normal_equations(
-    views: Sequence[ResampledView],
-    rows: slice,
-    parameters: Tensor,
-    light: SharedLight,
-    *,
-    slopes: bool,
+    views: Resampled, rows: slice, parameters: Tensor, light: SharedLight, *, slopes: bool
 ) -> list[Tensor]:
     """Normal equations of each photograph at some rows, without slopes if these do not move."""
     points = points_of(views[0].log.shape[-2:], rows, views[0].extent)

@@ -251,9 +251,8 @@ def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[floa
     In [-1, 1]; -1 without overlap, or if a shift by a few texels correlates better.
     """
     rows, columns = seen[0][0].pixels.shape[:2]
-    (texture, inside), *others = (
-        _texture(*each, round(_COMPARED * rows / columns)) for each in seen
-    )
+    down = round(_COMPARED * rows / columns)
+    (texture, inside), *others = (_texture(*each, down) for each in seen)
 
     def correlation(other: ChannelPlane, both: NDArray[np.bool_], x: int, y: int) -> float:
         a, b = texture[both], np.roll(other, (y, x), (0, 1))[both]
@@ -305,9 +304,8 @@ def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.fl
     log, inside = log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
     bands = (np.square(_band(log, *deviations)) for deviations in (_FINE, _LONG))
     tiles = (_TILES, max(2, round(_TILES * down / _ACROSS)))
-    fine, long, seen = (
-        area_averaged(each, tiles).ravel() for each in (*bands, inside.astype(np.float32))
-    )
+    planes = *bands, inside.astype(np.float32)
+    fine, long, seen = (area_averaged(each, tiles).ravel() for each in planes)
     ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
     return np.where(seen > 0.99, ratio, np.nan).astype(np.float64)
 
@@ -325,7 +323,6 @@ def log_on_grid(
 
     Args:
         photo: the photograph; the mean of its channels is looked up.
-        camera: its camera.
         size: (across, down) texels of the grid.
         wide: pixels across to which the photograph is averaged before.
         darkest: radiance below which the logarithm is clamped.

@@ -9,8 +9,14 @@ from functools import cache, partial
 
 import numpy as np
 
-from matcap.capture.registration.adjust import DISTORTION, Adjusted, Pair, adjust, camera_deviations
-from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.camera import (
+    DISTORTION,
+    Adjusted,
+    Pair,
+    PosedCamera,
+    adjust,
+    camera_deviations,
+)
 from matcap.capture.registration.keypoints import (
     find_keypoints,
     is_periodic,
@@ -67,10 +73,9 @@ class RegisteredView:
     flash: bool = True
     """Whether it is lit by flash, not by ambient light alone."""
     position_deviation: float = 0.0
-    """Standard deviation of the camera's position relative to the first, over its distance
-    (adjust.py)."""
+    """Standard deviation of the camera's position relative to the first, over its distance."""
     misregistration: float = 0.0
-    """Standard deviation of its registration to the first, plane units (adjust.py)."""
+    """Standard deviation of its registration to the first, plane units (camera.py)."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from matcap.capture.rectified import Rectified
 from matcap.example.example import Example, coarse_places, detail_bits
 from matcap.example.exemplar import Exemplar
 from matcap.field.plane import Rectangle
-from matcap.flash.geometry import FlashSetup, flash_mirror_point, plane_points
+from matcap.flash.geometry import FlashSetup, flash_mirror_point, points_of
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight, elongation, light_of
 from matcap.flash.light import FlashLight, cached_rows, strips
 from matcap.photo.checks import CAUSES, UNIFORM, Cause
@@ -52,8 +52,7 @@ class HighlightProfile:
     """A highlight in photograph and re-rendering, clipped alike; pairs are in this order."""
 
     rings: tuple[tuple[float, float], ...]
-    """By ring from the innermost: profile(r) over that of the outermost; the first is the
-    contrast."""
+    """By ring from the innermost: profile(r) over the outermost's; the first is the contrast."""
     clipped: tuple[float, ...]
     """By ring: share that is clipped in the photograph."""
     glints: tuple[tuple[float, float], ...] = ()
@@ -128,7 +127,6 @@ def highlight_profile(
             alike.
         seen: (H, W) bool, inside of the photograph.
         measured: (H, W) bool, `seen` and not clipped.
-        setup: camera and flash.
         limit: radiance at which the pictures are clipped.
     """
     lights = [channel_mean(picture) for picture in pictures]
@@ -139,16 +137,12 @@ def highlight_profile(
     ]
     if not all(ring.any() for ring in rings):
         return None
-    profiles = np.array(
-        [[each[ring].sum() / matte[ring].sum() for each in lights] for ring in rings]
-    )
+    profiles = np.array([[one[ring].sum() / matte[ring].sum() for one in lights] for ring in rings])
     profiles = np.maximum(profiles, _DARKEST)  # a ring may be black
     profiles /= profiles[-1]
     reach = _reach(profiles[:, 0])
     region = seen & measured & (lights[1] < limit) & (distance < reach)
-    glints = (
-        [_octaves(each, region) for each in lights] if region.mean() >= LEAST_SHARE else [[], []]
-    )
+    glints = [_octaves(one, region) for one in lights] if region.mean() >= LEAST_SHARE else [[], []]
     return HighlightProfile(
         tuple((float(before), float(after)) for before, after in profiles),
         tuple(float((~measured[ring]).mean()) for ring in rings),
@@ -181,14 +175,13 @@ def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.f
 
 def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
     """(H, W) radiance of a white matte plane: power (n.l) / pi."""
-    height, width = shape
-    points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
+    points = points_of(shape)
 
     def some(rows: slice) -> Tensor:
         light = FlashLight.of(setup, points[:, rows])
         return light.power.mean(0) * light.to_light[2] / math.pi
 
-    return torch.cat([some(rows) for rows in strips(height, cached_rows(width))]).numpy()
+    return torch.cat([some(rows) for rows in strips(shape[0], cached_rows(shape[1]))]).numpy()
 
 
 # Measurements on the maps of a capture themselves: highlight residue, steepness, confidence.
@@ -231,8 +224,6 @@ class ExemplarMeasurements:
         """Measure an exemplar.
 
         Args:
-            estimate: the exemplar.
-            rectified: its photograph.
             setup: camera and flash, in the orientation of the exemplar.
             seed: of its field; None if a decoder makes the field.
         """
@@ -312,7 +303,6 @@ def _blocks(plane: BlockMeans) -> BlockMeans:
 
 SmoothLight = NDArray[np.float64]
 
-# Settings of the measurements; docs/notes/verdict.md.
 _RING_TERMS = 6  # piecewise linear terms in the distance from the centre
 # Quantile of the light above which texels are not fitted, as the highlight errs there.
 _BRIGHTEST = 0.7
@@ -332,8 +322,6 @@ def measure_causes(
     Args:
         smooth: (h, w, 3) low-pass filtered photograph and re-rendering on the plane.
         pictures: (H, W, 3) both, unfiltered.
-        highlights: of both.
-        exemplar: measurements on the exemplar.
     """
     light, model = (each.mean(axis=2) for each in smooth)
     side = _brightest_side(light)
@@ -361,7 +349,9 @@ def by_place(difference: SmoothLight) -> SmoothLight:
     distance from the centre: light varies so, texture hardly does.
     """
     terms = np.concatenate([_plane(difference.shape), _rings(difference.shape)])
-    return np.einsum("n,nhw->hw", _coefficients(difference, terms), terms)
+    flat = terms.reshape(len(terms), -1)
+    coefficients = np.linalg.lstsq(flat.T, difference.ravel(), rcond=1e-9)[0]
+    return np.einsum("n,nhw->hw", np.asarray(coefficients, np.float64), terms)
 
 
 def _brightest_side(light: SmoothLight) -> float:
@@ -412,9 +402,3 @@ def _from_middle(shape: Sequence[int]) -> tuple[SmoothLight, SmoothLight]:
     """Offsets of columns (1, w) and rows (h, 1) from the centre; the long side is 1."""
     down, across = ((np.arange(side) + 0.5 - side / 2.0) / max(shape) for side in shape)
     return across[None, :], down[:, None]
-
-
-def _coefficients(plane: SmoothLight, terms: SmoothLight) -> SmoothLight:
-    """(n,) coefficients of the least-squares fit of terms (n, h, w) to a plane (h, w)."""
-    flat = terms.reshape(len(terms), -1)
-    return np.asarray(np.linalg.lstsq(flat.T, plane.ravel(), rcond=1e-9)[0], np.float64)

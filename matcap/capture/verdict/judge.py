@@ -259,18 +259,14 @@ def _peak_ratio(before: Highlight | None, after: Highlight | None) -> float:
     """
     if not visible(before) and not visible(after):
         return math.nan
-    first, second = (
-        FAINTEST_HIGHLIGHT if each is None else each.contrast for each in (before, after)
-    )
+    first, second = (FAINTEST_HIGHLIGHT if one is None else one.contrast for one in (before, after))
     return second / first
 
 
 def _contrast(seen: Measurements) -> Finding:
     """Finding on texture contrast, in the band and region that differ most."""
-    factors = {
-        band: (after + UNSEEN) / (before + UNSEEN)
-        for band, (before, after) in seen.contrast.items()
-    }
+    pairs = seen.contrast.items()
+    factors = {band: (after + UNSEEN) / (before + UNSEEN) for band, (before, after) in pairs}
     band = max(factors, key=lambda name: abs(math.log(factors[name])))
     factor = factors[band]
     says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"

@@ -13,8 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.capture.exemplar.observation import code_step
-from matcap.capture.rectified import FEATURES, WINDOW
+from matcap.capture.rectified import FEATURES, WINDOW, code_step
 from matcap.capture.verdict.causes import (
     UNSEEN,
     ExemplarMeasurements,
@@ -113,8 +112,6 @@ def measure_capture(
     """Measure the differences between a photograph and its re-rendering.
 
     Args:
-        photo: the photograph.
-        setup: its fitted camera and flash.
         rectified: (H, W, 3) the photograph on the plane's grid, linear.
         rerendered: (H, W, 3) the material under that flash, linear.
         valid: (H, W) bool, visible and not clipped.
@@ -262,10 +259,8 @@ def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
     log = _log_luminance(picture)
     bands = {"fine": _FINE, "coarse": _COARSE_BAND}
-    tiles = {
-        band: cell_means(np.square(band_passed(log, *reach)), _TILES)
-        for band, reach in bands.items()
-    }
+    squares = {band: np.square(band_passed(log, *reach)) for band, reach in bands.items()}
+    tiles = {band: cell_means(square, _TILES) for band, square in squares.items()}
     whole = np.log(picture + _floors(picture))
     chroma = band_passed(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
     return {**tiles, "coloured": cell_means(np.square(chroma), _TILES).mean(axis=2)}
@@ -306,7 +301,6 @@ def texture_difference(plane: Plane, rendering: Tensor) -> tuple[float, dict[str
     """Texture distance of a rendering, relative to that between parts of the photograph.
 
     Args:
-        plane: the photograph.
         rendering: (3, H, W) linear.
 
     Returns:

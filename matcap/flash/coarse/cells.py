@@ -1,6 +1,4 @@
-"""The coarse fit's model and observations: cells of a photograph, uniform material, camera,
-flash.
-"""
+"""The coarse fit's model and observations: cells, uniform material, camera and flash."""
 
 from __future__ import annotations
 
@@ -85,7 +83,6 @@ def log_radiance(
     """(3, n) log radiance of the uniform material, and (n,) its diffuse share under a white flash.
 
     Args:
-        unknowns: the parameters.
         image: (2, n) image coordinates.
         distance: of the camera, plane units.
         conductor: `albedo` is F0, and hardly anything is diffuse.
@@ -116,9 +113,8 @@ def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
     normal, camera, light = _places(unknowns, distance)
     height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
     foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
-    point = (foot_camera * height_light + foot_light * height_camera) / (
-        height_camera + height_light
-    )
+    point = foot_camera * height_light + foot_light * height_camera
+    point = point / (height_camera + height_light)
     return point[:2] * (distance / (distance - point[2]))
 
 
@@ -158,11 +154,9 @@ class CoarseCells:
     observed: Tensor
     """(3, n) log radiance."""
     toe: Tensor
-    """(3, n) radiance added to cell and model before the logarithm, as darker values are
-    uncertain."""
+    """(3, n) radiance added to cell and model before logarithms, as darker values are uncertain."""
     above: Tensor
-    """(3, n) factor on the residual of a model brighter than the cell: 1, or less for lower
-    bounds."""
+    """(3, n) factor on the residual of a model brighter than the cell: 1, or less for a bound."""
     weight: Tensor
     """(n,) weight of each cell; they sum to 1/3."""
 
@@ -250,6 +244,5 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
         kept = torch.from_numpy(share < MOST_LEFT_OUT).double()
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
-    return CoarseCells(
-        torch.from_numpy(image), flat(np.log(small + toe)), flat(toe), flat(above), weight
-    )
+    log = flat(np.log(small + toe))
+    return CoarseCells(torch.from_numpy(image), log, flat(toe), flat(above), weight)

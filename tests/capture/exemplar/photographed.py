@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.observation import PhotographLight
+from matcap.capture.rectified import PhotographLight
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash

@@ -12,12 +12,10 @@ import torch.nn.functional as F
 from photographed import photographed
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.detail_transfer import transfer_detail
-from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.detail_transfer import spline_enlarged, transfer_detail
 from matcap.capture.exemplar.inpaint import Copies
-from matcap.capture.exemplar.observation import PlaneLight
-from matcap.capture.exemplar.relief_spectrum import spline_enlarged
-from matcap.capture.rectified import network_input
+from matcap.capture.exemplar.predict import map_set_of
+from matcap.capture.rectified import PlaneLight, network_input
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import render_flash

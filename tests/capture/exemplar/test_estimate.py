@@ -20,12 +20,7 @@ from typer.testing import CliRunner
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.folder import find_mapsets, read_mapset
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import (
-    ExemplarEstimate,
-    KnownMeans,
-    estimate_exemplar,
-    map_set_of,
-)
+from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import (
     ANSWERS,
     ERRORS,
@@ -40,10 +35,9 @@ from matcap.capture.exemplar.network.network import (
     network_inputs,
     read_inverse,
 )
-from matcap.capture.exemplar.observation import Observation, lit, seen_share
-from matcap.capture.exemplar.predict import _shift_averaged, confidence_of, predict_maps
+from matcap.capture.exemplar.predict import _shift_averaged, confidence_of, map_set_of, predict_maps
 from matcap.capture.exemplar.refine import narrowed
-from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.rectified import Observation, Rectified, lit, network_input, seen_share
 from matcap.capture.settings import CaptureClock
 from matcap.cli.main import app
 from matcap.errors import MatcapError, UsageError

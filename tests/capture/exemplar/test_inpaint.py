@@ -12,9 +12,9 @@ from photographed import SETUP, Photographed, photographed
 
 from matcap.capture.exemplar.inpaint import Copies, composed, inpainted, transport
 from matcap.capture.exemplar.network.network import load_inverse
-from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.predict import exemplar_of, predict_maps
 from matcap.capture.exemplar.refine import refine_maps
+from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash

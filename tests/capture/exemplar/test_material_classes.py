@@ -9,13 +9,13 @@ import torch
 from photographed import photographed
 
 from matcap.brdf.cook_torrance import METAL_F0, SurfaceParameters
-from matcap.capture.exemplar.material_classes import BY_HEIGHT, Classes, find_mixture, metal_score
 from matcap.capture.exemplar.mean_parameters import (
     MeanParameterPrior,
     RingTarget,
     _RingFit,
     fit_mean_parameters,
 )
+from matcap.capture.exemplar.predict import BY_HEIGHT, Classes, find_mixture, metal_score
 from matcap.flash.geometry import flash_mirror_point
 from matcap.flash.light import FlashLight, Uniform, render_flash
 

@@ -13,14 +13,9 @@ from photographed import Photographed, photographed
 
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import estimate_exemplar, map_set_of
+from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
-from matcap.capture.exemplar.observation import (
-    Observation,
-    channel_noise,
-    channel_weights,
-    code_step,
-)
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.exemplar.refine import (
     flatten,
     radiance_residual,
@@ -30,7 +25,14 @@ from matcap.capture.exemplar.refine import (
     with_photographed_mean,
 )
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum, slope_spectrum
-from matcap.capture.rectified import Rectified, network_input
+from matcap.capture.rectified import (
+    Observation,
+    Rectified,
+    channel_noise,
+    channel_weights,
+    code_step,
+    network_input,
+)
 from matcap.capture.settings import CaptureClock
 from matcap.example.exemplar import Exemplar
 from matcap.files.color import srgb_decode

@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 
 from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.network.network import network_inputs
-from matcap.capture.exemplar.observation import Observation
 from matcap.capture.exemplar.relief_spectrum import (
     BANDS,
     ReliefSpectrum,
@@ -27,6 +26,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     slope_spectrum,
     split,
 )
+from matcap.capture.rectified import Observation
 from matcap.cli.main import app
 from matcap.files.color import srgb_encode
 from matcap.flash.coarse.fit import fit_coarse

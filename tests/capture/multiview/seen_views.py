@@ -10,9 +10,10 @@ from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, as_photo, hold, take_several
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.multiview.texels import log_rendered, parameters_of, points_of
+from matcap.capture.multiview.texels import log_rendered, parameters_of
 from matcap.capture.multiview.views import ResampledView, SharedLight, light_at
 from matcap.capture.registration.camera import PosedCamera
+from matcap.flash.geometry import points_of
 
 PHONE, HAND = PhoneCamera(width=640, height=480), Hand()
 SIZE = (48, 64)  # texels

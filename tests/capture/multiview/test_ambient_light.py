@@ -22,11 +22,16 @@ from simulated.photographs import (
 from matcap.brdf.maps import normals_from_slopes
 from matcap.capture.exemplar.relief_spectrum import slope_spectrum
 from matcap.capture.inspection import coverage
-from matcap.capture.multiview.ambient_light import AmbientLight, evenly_lit, without_ambient
 from matcap.capture.multiview.pair import on_albedo, scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.solve import solve
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
-from matcap.capture.multiview.views import RAW_FALLOFF, SharedLight
+from matcap.capture.multiview.views import (
+    RAW_FALLOFF,
+    AmbientLight,
+    SharedLight,
+    evenly_lit,
+    without_ambient,
+)
 from matcap.capture.pipeline import capture_into, capture_photo
 from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order

@@ -14,7 +14,7 @@ from simulated.photographs import Hand, PhoneCamera, hold, true_maps_along
 
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview import mosaic as mosaic_module
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.mosaic import (

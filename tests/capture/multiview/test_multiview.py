@@ -12,7 +12,7 @@ from report_schema import check_report
 from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
 from simulated.photographs import Hand, hold
 
-from matcap.capture.exemplar.estimate import map_set_of
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import (
     Prediction,

@@ -14,7 +14,6 @@ from seen_views import SIZE as SEEN_VIEWS_SIZE
 from matcap.brdf.maps import MapSet
 from matcap.capture.multiview import align, surface
 from matcap.capture.multiview.align import Aligned, aligned
-from matcap.capture.multiview.ambient_light import AmbientLight
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.solve import solve
 from matcap.capture.multiview.surface import (
@@ -37,7 +36,7 @@ from matcap.capture.multiview.texels import (
     solved,
     solved_in_place,
 )
-from matcap.capture.multiview.views import RAW_FALLOFF
+from matcap.capture.multiview.views import RAW_FALLOFF, AmbientLight
 from matcap.capture.registration.register import register
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import FlashLight

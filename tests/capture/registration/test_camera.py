@@ -9,10 +9,16 @@ import pytest
 import torch
 from simulated.photographs import Hand, PhoneCamera, hold, relative_position
 
-from matcap.capture.registration import adjust as adjustment
-from matcap.capture.registration import adjust as covariance
-from matcap.capture.registration.adjust import Adjusted, Pair, adjust, camera_deviations
-from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
+from matcap.capture.registration import camera as registration_camera
+from matcap.capture.registration.camera import (
+    Adjusted,
+    Lens,
+    Pair,
+    PosedCamera,
+    adjust,
+    camera_deviations,
+    grid_points,
+)
 from matcap.capture.registration.keypoints import (
     Keypoints,
     find_keypoints,
@@ -65,7 +71,7 @@ def _pairs(cameras, noise=0.0):
 
 def test_exact_matches_give_the_cameras_back(monkeypatch):
     cameras = hold(PHONE, Hand(bent=(0.02, -0.005)), 5, 2)
-    monkeypatch.setattr(adjustment, "_COUNTED", 1e6)
+    monkeypatch.setattr(registration_camera, "_COUNTED", 1e6)
     found = adjust(FlashSetup(fov=PHONE.fov), _pairs(cameras), known=True, relief=0.0)
     assert found.first.fov == pytest.approx(PHONE.fov, abs=0.05)
     distance = float(np.linalg.norm(cameras[0].place))
@@ -255,14 +261,14 @@ def test_deviations_cover_errors_by_shading(seed):
 def test_deeper_relief_is_less_certain(more, monkeypatch):
     _, pairs, found = _adjusted(2, 0.4, lambda rng, count: more * _bumps(rng, count))
     both = camera_deviations(found, pairs).positions
-    monkeypatch.setattr(covariance, "_COMMON_DEPTH", 0.0)
+    monkeypatch.setattr(registration_camera, "_COMMON_DEPTH", 0.0)
     assert (both > 1.5 * camera_deviations(found, pairs).positions).all()
 
 
 def test_fewer_matches_are_less_certain(monkeypatch):
     _, pairs, found = _adjusted(3, 0.5, _flat)
     few = [Pair(p.first[:, ::8], p.second[:, ::8], p.pixel) for p in pairs]
-    monkeypatch.setattr(covariance, "_COMMON_DEPTH", 0.0)
+    monkeypatch.setattr(registration_camera, "_COMMON_DEPTH", 0.0)
     by_few, by_all = (camera_deviations(found, some).positions for some in (few, pairs))
     assert (by_few > 1.5 * by_all).all()
 

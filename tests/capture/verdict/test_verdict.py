@@ -10,9 +10,9 @@ import simulated_shots as shots
 from arrays import photo_from_array
 
 from matcap.capture.bracket import MERGED
-from matcap.capture.exemplar.observation import code_step
 from matcap.capture.inspection import photograph_quality
 from matcap.capture.pipeline import capture_photo
+from matcap.capture.rectified import code_step
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.causes import ExemplarMeasurements, HighlightProfile, highlight_profile
 from matcap.capture.verdict.judge import findings, judge

@@ -13,7 +13,7 @@ from uniform import photograph as uniform
 
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import render_rectified
-from matcap.flash.rectify import Plane, plane_of, rectify, rectify_noise
+from matcap.flash.rectify import Plane, plane_of, read_plane, rectify
 from matcap.space.freeze import freeze
 from matcap.space.tuned import TunedDecoder
 from matcap.space.tuning.match import (
@@ -380,10 +380,10 @@ def test_noise_is_permuted_and_scaled_with_the_light():
 def test_noise_is_rectified_like_the_picture():
     setup = a_setup(tilt=(0.15, -0.1))
     photo = uniform(setup)
-    assert rectify_noise(photo, setup, 96) is None
+    assert read_plane(photo, setup, 96).noise is None
     both = replace(photo, noise=photo.pixels - 0.01)
     linear, valid = rectify(both, setup, 96)
-    noise = rectify_noise(both, setup, 96)
+    noise = read_plane(both, setup, 96).noise
     torch.testing.assert_close(noise[:, valid], linear[:, valid] - 0.01, atol=1e-5, rtol=0.0)
 
 

@@ -130,7 +130,7 @@ class NetworkAnswer:
     errors: ExpectedErrors
     """Their expected errors."""
     metal: Tensor
-    """(..., 1, H, W) logit of the share of metal in each texel (material_classes.py)."""
+    """(..., 1, H, W) logit of the share of metal in each texel (predict.py)."""
 
     @staticmethod
     def from_stacked(stacked: Tensor) -> NetworkAnswer:
@@ -153,9 +153,7 @@ class Inverse(nn.Module):
         self.down = nn.ModuleList(
             _ResidualBlock(last, width) for last, width in zip(before, widths, strict=True)
         )
-        self.pooled = nn.ModuleList(
-            nn.Linear(_WEIGHTINGS * width, config.context) for width in widths
-        )
+        self.pooled = nn.ModuleList(nn.Linear(_WEIGHTINGS * w, config.context) for w in widths)
         self.context = nn.Sequential(
             nn.LeakyReLU(_SLOPE), nn.Linear(config.context, config.context), nn.LeakyReLU(_SLOPE)
         )
@@ -164,9 +162,7 @@ class Inverse(nn.Module):
             for width, above in zip(widths[:-1], widths[1:], strict=True)
         )
         self.up = nn.ModuleList(_ResidualBlock(width, width) for width in widths[:-1])
-        self.modulation = nn.ModuleList(
-            nn.Linear(config.context, 2 * width) for width in widths[:-1]
-        )
+        self.modulation = nn.ModuleList(nn.Linear(config.context, 2 * w) for w in widths[:-1])
         self.heights = nn.ModuleList(nn.Conv2d(width, 1, 3, padding=1) for width in widths[:-1])
         fine = 16
         self.head = nn.Conv2d(widths[0], 4 * fine, 3, padding=1)
@@ -320,7 +316,6 @@ def network_inputs(
     Args:
         linear: (3, H, W) scene-linear radiance.
         valid: (H, W) bool, visible and not clipped.
-        uniform: the coarse fit.
         points: (3, H, W) plane points of the texels (flash.geometry.plane_points).
     """
     height, width = linear.shape[-2:]
