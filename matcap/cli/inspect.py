@@ -40,9 +40,9 @@ def inspect(
 
     Checks whether there is a lit, flat material, and flash, clipping, highlight, tilt, sharpness
     and uniformity. Of several photographs it prints a line for each: "-" usable, "?" doubtful, "!"
-    failed. Of several of one sample it reports which cannot be registered, which sides no
-    photograph lights, and which are nearly the same. Of a material it prints its exemplar, its F0
-    and its verdict.
+    failed. Up to five are merged as by capture, where they are exposures from one place. Of several
+    of one sample it reports which cannot be registered, which sides no photograph lights, and which
+    are nearly the same. Of a material it prints its exemplar, its F0 and its verdict.
     """
     from matcap.cli.display import working
     from matcap.files.names import are_a_series
@@ -53,12 +53,15 @@ def inspect(
     pictures = [path for path in photos if path.suffix.lower() != ".matcap"]
     if together and not pictures:
         raise UsageError.at("--together", "there are no photographs", "name two or more")
+    others = _exposures(pictures, fov)
+    merged = {path for each in others.values() for path in each}
+    pictures = [path for path in pictures if path not in merged]
     several = len(pictures) > 1
     photographs: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
-    seen: list[tuple[Path, Inspection, list[str]]] = []
+    seen: list[tuple[str, Inspection, list[str]]] = []
     failures = 0
-    for path in photos:
+    for path in (path for path in photos if path not in merged):
         of_material = path.suffix.lower() == ".matcap"
         documents = materials if of_material else photographs
         kind = "material" if of_material else "photo"
@@ -67,7 +70,8 @@ def inspect(
                 if of_material:
                     document, text = _material(path)
                 else:
-                    document, quality, more = _photo(path, detail, fov, white)
+                    dark = others.get(path, ())
+                    document, quality, more = _photo(path, detail, fov, white, dark)
         except UsageError:
             raise
         except MatcapError as error:
@@ -77,14 +81,15 @@ def inspect(
             continue
         documents.append({kind: str(path), **document})
         if not of_material:
-            text = _briefly(path, quality)
-            seen.append((path, quality, more))
+            ended = "".join(f" + {each.name}" for each in dark)
+            text = _briefly(f"{path.name}{ended}", quality)
+            seen.append((f"{path}{ended}", quality, more))
         if not as_json and (of_material or (several and not details)):
             typer.echo(text)
     if not as_json:
         shared = _shared([quality for _, quality, _ in seen])
-        for path, quality, more in seen if details or not several else ():
-            typer.echo("\n".join(_rated(str(path), quality, shared) + more))
+        for name, quality, more in seen if details or not several else ():
+            typer.echo("\n".join(_rated(name, quality, shared) + more))
         for finding in shared:
             if details or (finding.remedy and finding.rating is Rating.NOT_JUDGED):
                 typer.echo(f"   all: {finding.line()}")
@@ -129,9 +134,20 @@ def _files(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def _briefly(path: Path, quality: Inspection) -> str:
+def _exposures(pictures: Sequence[Path], fov: float | None) -> dict[Path, Sequence[Path]]:
+    """The exposures that are merged with each photograph, of few; more are a shoot."""
+    if len(pictures) < 2:
+        return {}
+    from matcap.capture.bracket import MOST, find_brackets
+
+    if len(pictures) > MOST:
+        return {}
+    return {group[0]: group[1:] for group in find_brackets(pictures, fov=fov)}
+
+
+def _briefly(name: str, quality: Inspection) -> str:
     """A line on a photograph: its rating, and what limits it most."""
-    line = f"{_MARKS[quality.rating.value]} {path.name}: {quality.rating.value}"
+    line = f"{_MARKS[quality.rating.value]} {name}: {quality.rating.value}"
     subject = quality["subject"]
     if subject.rating is not Rating.GOOD:
         return f"{line}: {subject.line()}"
@@ -155,16 +171,18 @@ def _shared(photographs: Sequence[Inspection]) -> list[Finding]:
 
 
 def _photo(
-    path: Path, detail: int, fov: float | None, white: float | None
+    path: Path, detail: int, fov: float | None, white: float | None, others: Sequence[Path]
 ) -> tuple[dict[str, Any], Inspection, list[str]]:
     """Checks of a photograph for JSON, and themselves, with lines of what else is measured."""
     from matcap.capture.inspection import inspect_file
 
-    inspected = inspect_file(path, detail, fov, white)
+    inspected = inspect_file(path, detail, fov, white, others)
     quality, relief = inspected.quality, inspected.relief_spectrum
     spectrum = relief.document() if relief else None
     lines = [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
     document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
+    if others:
+        document["exposures"] = [each.name for each in (path, *others)]
     return document, quality, lines
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from fractions import Fraction
@@ -25,6 +26,7 @@ from matcap.capture.bracket import (
 )
 from matcap.capture.pipeline import read_exposures
 from matcap.capture.settings import CaptureSettings
+from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.files.color import srgb_decode, srgb_encode
 from matcap.files.settings import Rectangle
@@ -273,6 +275,23 @@ def test_brackets_among_files_are_found(tmp_path, stated):
     assert found == [(paths[0], paths[1]), (paths[2],), (paths[3],)]
     assert unmerged(found) == [(paths[2], paths[3])] * stated
     assert find_brackets(paths[:1]) == [(paths[0],)]
+
+
+def test_inspect_judges_what_capture_merges(tmp_path, capsys):
+    """And does not ask for the darker photograph that is given."""
+    light = scene()
+    shown = [(taken(light), 1.0), (taken(light, 1 / 16, seed=2), 1 / 16), (taken(scene(7)), 1.0)]
+    paths = [saved(tmp_path / f"{k}.jpg", *each) for k, each in enumerate(shown)]
+    assert main(["inspect", *map(str, paths), "--json"]) == 0
+    first, other = json.loads(capsys.readouterr().out)["photographs"]
+    assert first["photo"] == str(paths[0]) and first["exposures"] == ["0.jpg", "1.jpg"]
+    assert other["photo"] == str(paths[2]) and "exposures" not in other
+    assert main(["inspect", str(paths[0]), "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["photographs"][0]
+    says = [each["clipped"]["message"] for each in (alone, first)]
+    assert says[0] != says[1]
+    assert main(["inspect", *map(str, paths[:2])]) == 0
+    assert "0.jpg + 1.jpg: " in capsys.readouterr().out
 
 
 def test_the_curve_is_measured_before_averaging_and_undone_before_it(tmp_path):
