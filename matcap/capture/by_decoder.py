@@ -173,7 +173,7 @@ def _upright(material: Material) -> Material:
     return tuned.material(material.name, setup, material.provenance)
 
 
-# The decoder beside the exemplar: fine-tuned in few steps once the exemplar is there.
+# The decoder of a capture by example, fine-tuned in few steps once the exemplar is there.
 #
 # It draws from the material's own exemplar (space/freeze.py), at the network's resolution, so that
 # both generators show the same arrangement for a seed. It starts from the prior's decoder, which

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from matcap.capture.bracket import MERGED, merge_bracket
+from matcap.capture.bracket import MERGED
 from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.mosaic import mosaic_of, sees
@@ -53,26 +52,28 @@ class InspectedPhotograph:
 
 
 def inspect_file(
-    path: Path,
-    detail: int,
-    fov: float | None = None,
-    white: float | None = None,
-    others: Sequence[Path] = (),
+    path: Path, detail: int, fov: float | None = None, white: float | None = None
 ) -> InspectedPhotograph:
     """Inspect a photograph after the same reading and coarse fit as in a capture.
 
     Args:
         path: of the photograph.
-        others: exposures that are merged with it (find_brackets).
         detail: pixels along its long side.
         fov: field of view along that side, degrees; None for the file's metadata.
         white: value of white in floating-point files; None for the file's, or 1.
 
     Raises:
-        MatcapError: a file cannot be read, or the coarse fit fails.
+        MatcapError: the file cannot be read, or the coarse fit fails.
     """
-    read = partial(load_photo, long_side=detail, fov=fov, noise=False, white=white)
-    photo = merge_bracket([read(each) for each in (path, *others)]) if others else read(path)
+    return inspected(load_photo(path, long_side=detail, fov=fov, noise=False, white=white))
+
+
+def inspected(photo: Photo) -> InspectedPhotograph:
+    """Inspect a photograph that was read at the resolution of its capture, or a merged bracket.
+
+    Raises:
+        MatcapError: the coarse fit fails.
+    """
     photo, coarse, plane = _rectified(photo)
     return InspectedPhotograph(
         checked(photo, coarse, plane),

@@ -165,7 +165,9 @@ def draw_sheet(result: CaptureResult) -> Image.Image:
         generator = "by example" if "example" in made else "by the decoder"
         if result.choice is not None:
             decoded = block(list(decoder_panels(result, result.choice.decoded)))
-            blocks.append(titled(decoded, "The material, by the decoder"))
+            enlarged = result.rectified.shape[1] / result.choice.decoded.diffuse.shape[-1]
+            times = f", enlarged {enlarged:.3g} times" if enlarged > 1.0 else ""
+            blocks.append(titled(decoded, f"The material, by the decoder{times}"))
         exemplar = block(list(exemplar_panels(result, result.estimate)))
         blocks = [
             titled(blocks[0], f"The material, {generator}"),

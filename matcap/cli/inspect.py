@@ -174,13 +174,18 @@ def _photo(
     path: Path, detail: int, fov: float | None, white: float | None, others: Sequence[Path]
 ) -> tuple[dict[str, Any], Inspection, list[str]]:
     """Checks of a photograph for JSON, and themselves, with lines of what else is measured."""
-    from matcap.capture.inspection import inspect_file
+    from matcap.capture.inspection import inspect_file, inspected
+    from matcap.capture.pipeline import read_exposures
 
-    inspected = inspect_file(path, detail, fov, white, others)
-    quality, relief = inspected.quality, inspected.relief_spectrum
+    if others:
+        settings = CaptureSettings(detail=detail, fov=fov, white=white)
+        seen = inspected(read_exposures((path, *others), settings, several=False))
+    else:
+        seen = inspect_file(path, detail, fov, white)
+    quality, relief = seen.quality, seen.relief_spectrum
     spectrum = relief.document() if relief else None
     lines = [f"     {name:<13} {says}" for name, says in _spectrum_lines(spectrum)]
-    document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": inspected.tilt}
+    document = quality.document() | {"relief_spectrum": spectrum, "tilt_sources": seen.tilt}
     if others:
         document["exposures"] = [each.name for each in (path, *others)]
     return document, quality, lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -37,7 +38,7 @@ def with_normals(maps: Floats, texel_size: float, normal: NormalStyle) -> NDArra
     return planes
 
 
-class ArraySource:
+class ArraySource(ABC):
     """A source of a field whose stacked maps are computed in NumPy, on the processor."""
 
     device_type = "cpu"
@@ -53,9 +54,9 @@ class ArraySource:
         """(9 or 11, height, width) maps and normal of a block."""
         return with_normals(self.around(block.grown(RING)), self.texel_size, normal)
 
+    @abstractmethod
     def around(self, area: Rectangle) -> Floats:
         """Stacked maps (6 or 8, height, width) of any area."""
-        raise NotImplementedError
 
 
 # Multi-band blending across the seams of a rearranged exemplar [burt1983].

@@ -339,7 +339,7 @@ _ORDERED = 1  # first level at which phase errors have a cost
 # 14, as much as a common seam.
 PENALTY_BITS = 11
 # Penalties in corrections of patches that are fitted, for the sake of long structure: at the full
-# cost corrections take the patches apart, and show the few places without a penalty over and over.
+# cost corrections break the patches up, and show the few places without a penalty over and over.
 # Up to _DOUBTFUL a penalty costs less than a seam.
 _SEAM, _DOUBTFUL, _MARKED = 20, 60, 40
 _SPARED = 16  # at most 1 / 16 of the frame is left out at either end, so that opposite borders fit

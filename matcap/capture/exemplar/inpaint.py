@@ -44,7 +44,7 @@ _WELL_SEEN = 0.75  # quantile of confidence that defines well seen
 _MOST_HIDDEN = 0.2  # largest share of the picture to inpaint, more than any flash hides
 _WHOLE_DONOR = 0.95  # least confident share of a donor block
 # A texel whose log albedo is this many times the median distance from the median is a mark, unless
-# more than _MARKED of the picture are: dust, a stain, what lies beside the sample.
+# more than _MARKED of the picture are: dust, a stain, what lies around the sample.
 _OUTSTANDING, _MARKED = 7.0, 0.03
 _GRAIN = 8  # texels of marks in a block that nobody sees a second time
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
@@ -401,7 +401,7 @@ def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
 def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:
     """(N, 2) corners of blocks that are visible nearly everywhere, with no more marks than usual.
 
-    A copy of a mark is a second one beside it; a texture that has marks in most blocks keeps them.
+    The eye finds a mark that is copied; a texture that has marks in most blocks keeps them.
     """
     if min(visible.shape) <= _BLOCK:
         return np.zeros((0, 2), np.int64)
