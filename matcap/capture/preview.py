@@ -92,9 +92,9 @@ class Panel:
         if self.number or by <= 1.0:
             return self
         close = self.values if self.close is None else self.close
-        wide: Picture = np.asarray(
-            cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), np.float32
-        )
+        cubic = cv2.resize(close, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC)
+        # A cubic kernel overshoots edges, below 0 too, which no code value is defined for.
+        wide: Picture = np.asarray(np.clip(cubic, close.min(), close.max()), np.float32)
         if self.close is None:
             return replace(self, values=wide)
         height, width = close.shape[:2]

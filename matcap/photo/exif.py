@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from matcap.files.containers import FileKind, Tag, kind_of, pillow_info
+from matcap.files.process import quiet_decoders
 from matcap.files.stated_color import png_chunks
 
 # | container | source |
@@ -231,7 +232,8 @@ def exif_tags(file: BinaryIO) -> dict[str, Any]:
     import exifread
 
     try:
-        return exifread.process_file(file, details=False, extract_thumbnail=False)
+        with quiet_decoders():  # it logs that there are none
+            return exifread.process_file(file, details=False, extract_thumbnail=False)
     except Exception:  # the parser raises anything (AssertionError, struct.error, ...)
         return {}
 

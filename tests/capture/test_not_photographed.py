@@ -88,3 +88,14 @@ def test_a_constant_map_is_a_number_and_is_not_hatched():
     ):
         assert len(np.unique(np.array(blank).reshape(-1, 3), axis=0)) == 1
         assert shown.size == blank.size and (np.array(shown) != np.array(blank)).any()
+
+
+def test_an_enlarged_panel_stays_within_its_values():
+    # A dark crystal in a white field: a cubic kernel alone goes below 0 beside it.
+    light = np.full((40, 40, 3), 0.9, np.float32)
+    light[18:22, 18:22] = 0.0
+    for panel in (Panel("decoder", light), Panel("decoder", light[::4, ::4], close=light)):
+        large = panel.enlarged(2.0)
+        close = large.values if large.close is None else large.close
+        assert close.min() >= 0.0 and close.max() <= np.float32(0.9)
+        assert np.array(large.crop()).min() < 5  # the crystal is still black

@@ -1,6 +1,8 @@
 """Orientation, field of view and flash, from whatever the tags hold."""
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -213,3 +215,13 @@ def test_exif_behind_other_segments(tmp_path, codes, before):
     assert found.orientation == 6
     assert found.film_focal_length == 28.0
     assert found.flash_fired is True
+
+
+def test_a_file_without_exif_prints_nothing(tmp_path):
+    path = tmp_path / "plain.jpg"
+    Image.new("RGB", (8, 8)).save(path)
+    code = "import pathlib, sys; from matcap.photo.exif import read_exif"
+    code += "; read_exif(pathlib.Path(sys.argv[1]))"
+    command = [sys.executable, "-c", code, str(path)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (run.stdout, run.stderr) == ("", "")
