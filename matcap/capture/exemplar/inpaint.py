@@ -156,8 +156,9 @@ def transport(
     relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
     most = float(np.quantile(relative[known], _MOST_HIDDEN)) + 1e-6
     hidden = _around(relative < min(_LEAST_CONFIDENCE, most))
-    visible = ~hidden & known
-    donors = _donors(visible, exemplar.diffuse)
+    # Of a black sample more than the hidden part is too dark to show relief.
+    seen = relative >= min(_LEAST_CONFIDENCE, float(np.median(relative[known])))
+    donors = _donors(seen & ~hidden & known, exemplar.diffuse)
     # Texels outside of a crop are not inpainted: they have none known in their row, or column.
     rows, columns = np.asarray(known.any(axis=1)), np.asarray(known.any(axis=0))
     hidden = (hidden & known) | (rows[:, None] & columns & ~known)

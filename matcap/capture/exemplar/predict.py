@@ -32,7 +32,7 @@ from matcap.capture.exemplar.mean_parameters import (
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, NetworkAnswer
 from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
-from matcap.capture.rectified import Observation, seen_share
+from matcap.capture.rectified import Observation, channel_weights, seen_share
 from matcap.example.exemplar import Exemplar
 from matcap.flash.coarse.problem import Gaussian
 from matcap.flash.light import DARKEST
@@ -40,6 +40,8 @@ from matcap.flash.light import DARKEST
 # Expected errors (log, log, logit, slope) at which confidence is 1/e. Larger values trust
 # uncertain maps.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
+_NOISY = 0.2  # noise of log radiance at which confidence is 1/e: the lowest codes of a JPEG
+_DIFFUSE = 0.5  # diffuse share of light from which on albedo counts in full
 
 
 @dataclass(frozen=True)
@@ -68,13 +70,32 @@ def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, 
     answer = NetworkAnswer.from_stacked(_shift_averaged(network, observed.inputs.stacked()))
     seen = seen_share(observed.plane.measured)
     confidence = confidence_of(answer.errors, seen, observed.plane.unit)
-    confidence[0] *= 1.0 - observed.specular_fraction
+    confidence[0] = (confidence[0] * (1.0 - observed.specular_fraction)) ** albedo_weight(observed)
+    confidence *= np.exp(-np.square(grey_noise(observed) / _NOISY))
     classes = Classes.whole(observed.specular_fraction.shape, metal=observed.coarse.conductor)
     if observed.coarse.conductor:
         observed = tinted(observed, classes.metal_share)
     some = float((answer.metal > 0.0).float().mean()) > _LEAST_SHARE
     logit = answer.metal if some and not observed.coarse.by_hand else None
     return observed, NetworkPrediction(answer.residuals, answer.errors, confidence, logit, classes)
+
+
+def albedo_weight(observed: Observation) -> float:
+    """Exponent of the confidence in albedo, in [0, 1]: min(1, D / _DIFFUSE)^2.
+
+    D is the diffuse share of the light that the uniform material reflects. An error of log albedo
+    changes log radiance by D times as much, so its energy falls with D^2: of black lacquer or
+    leather the highlight hides an albedo that hardly shows anywhere, and shows the relief.
+    """
+    light = observed.plane.linear.mean(0).numpy() * observed.plane.kept.numpy()
+    specular = float((observed.specular_fraction * light).sum() / max(float(light.sum()), 1e-12))
+    return min(1.0, (1.0 - specular) / _DIFFUSE) ** 2
+
+
+def grey_noise(observed: Observation) -> NDArray[np.float32]:
+    """(H, W) standard deviation of log radiance, its channels weighted by their noise."""
+    weights = channel_weights(observed.noise)
+    return np.asarray((weights * observed.noise).square().sum(0).sqrt().numpy(), np.float32)
 
 
 def exemplar_of(observed: Observation, prediction: NetworkPrediction) -> Exemplar:
