@@ -40,7 +40,7 @@ from matcap.flash.light import DARKEST
 # Expected errors (log, log, logit, slope) at which confidence is 1/e. Larger values trust
 # uncertain maps.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
-_NOISY = 0.2  # noise of log radiance at which confidence is 1/e: the lowest codes of a JPEG
+_NOISY = 0.3  # noise of log radiance at which confidence is 1/e: the lowest codes of a JPEG
 _DIFFUSE = 0.5  # diffuse share of light from which on albedo counts in full
 
 
@@ -81,15 +81,15 @@ def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, 
 
 
 def albedo_weight(observed: Observation) -> float:
-    """Exponent of the confidence in albedo, in [0, 1]: min(1, D / _DIFFUSE)^2.
+    """Exponent of the confidence in albedo, in [0, 1]: min(1, D / _DIFFUSE).
 
-    D is the diffuse share of the light that the uniform material reflects. An error of log albedo
-    changes log radiance by D times as much, so its energy falls with D^2: of black lacquer or
-    leather the highlight hides an albedo that hardly shows anywhere, and shows the relief.
+    D is the diffuse share of the light that the uniform material reflects: an error of log albedo
+    changes log radiance by D times as much. Of black lacquer or leather the highlight hides an
+    albedo that hardly shows anywhere, and shows the relief.
     """
     light = observed.plane.linear.mean(0).numpy() * observed.plane.kept.numpy()
     specular = float((observed.specular_fraction * light).sum() / max(float(light.sum()), 1e-12))
-    return min(1.0, (1.0 - specular) / _DIFFUSE) ** 2
+    return min(1.0, (1.0 - specular) / _DIFFUSE)
 
 
 def grey_noise(observed: Observation) -> NDArray[np.float32]:
