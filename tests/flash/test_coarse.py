@@ -68,16 +68,14 @@ def test_a_clipped_highlight_is_a_lower_bound_and_not_a_plateau():
     assert 0.003 < photo.clipped_share < 0.2
     fit = fit_coarse(photo)
     assert fit.roughness == pytest.approx(0.3, abs=0.07)
-    assert np.array(fit.diffuse) * fit.setup.intensity[0] == pytest.approx(
-        np.array((0.3, 0.25, 0.2)) * 25.0, rel=0.08
-    )
+    bright = np.array(fit.diffuse) * fit.setup.intensity[0]
+    assert bright == pytest.approx(np.array((0.3, 0.25, 0.2)) * 25.0, rel=0.08)
 
 
 def test_matte_stays_matte_though_its_middle_is_clipped():
     """A lobe hidden in what is clipped would explain the rest as well."""
     _, photo = made(diffuse=(0.02, 0.02, 0.02), roughness=0.95, intensity=250.0)
-    assert photo.clipped_share > 0.05
-    assert fit_coarse(photo).roughness > 0.8
+    assert photo.clipped_share > 0.05 and fit_coarse(photo).roughness > 0.8
 
 
 def test_polish_is_found_where_the_plane_is_clipped_too():
@@ -89,9 +87,8 @@ def test_polish_is_found_where_the_plane_is_clipped_too():
 
 def test_the_sharp_highlight_of_laminate_is_no_falloff():
     """A coat over a satin base: one lobe cannot be both, and the highlight is what is seen."""
-    setup, coat = made(
-        diffuse=(0.25, 0.23, 0.2), roughness=0.07, offset=(0.0, 0.1, 0.0), intensity=6.0
-    )
+    above = {"offset": (0.0, 0.1, 0.0), "intensity": 6.0}
+    setup, coat = made(diffuse=(0.25, 0.23, 0.2), roughness=0.07, **above)
     base = photograph(setup, diffuse=(0.001,) * 3, specular=0.06, roughness=0.5)
     pixels = np.minimum(coat.pixels + base.pixels, np.float32(1.0))
     both = replace(coat, pixels=pixels, clipped=(pixels >= 1.0).any(2), radiometric=False)
@@ -106,9 +103,8 @@ def test_a_channel_that_the_file_cannot_hold_changes_nothing_else():
     assert (cut.pixels[..., 1] == 0.0).mean() > 0.5
     whole, found = fit_coarse(replace(photo, radiometric=False)), fit_coarse(cut)
     assert found.roughness == pytest.approx(whole.roughness, abs=0.03)
-    assert found.specular / found.diffuse[2] == pytest.approx(
-        whole.specular / whole.diffuse[2], rel=0.15
-    )
+    shares = [fit.specular / fit.diffuse[2] for fit in (found, whole)]
+    assert shares[0] == pytest.approx(shares[1], rel=0.15)
 
 
 @pytest.mark.parametrize("known", [(0.06, -0.04), (0.13, 0.03)])
@@ -147,11 +143,9 @@ def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials():
     taken = photograph(coned, roughness=0.5, radiometric=False)
     cone = fit_coarse(taken)
     assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.45
-    assert cone.residual < 0.03
-    assert cone.roughness == pytest.approx(plain.roughness, abs=0.05)
-    assert cone.specular / cone.diffuse[1] == pytest.approx(
-        plain.specular / plain.diffuse[1], rel=0.35
-    )
+    assert cone.residual < 0.03 and cone.roughness == pytest.approx(plain.roughness, abs=0.05)
+    shares = [fit.specular / fit.diffuse[1] for fit in (cone, plain)]
+    assert shares[0] == pytest.approx(shares[1], rel=0.35)
 
 
 def test_a_cone_that_points_aside_does_not_move_the_flash():
@@ -160,8 +154,7 @@ def test_a_cone_that_points_aside_does_not_move_the_flash():
     aside = replace(straight, vignetting_centre=(0.0, 0.25))
     fit = fit_coarse(photograph(aside, roughness=0.7, radiometric=False))
     assert fit.setup.vignetting_centre == pytest.approx((0.0, 0.25), abs=0.08)
-    assert fit.setup.offset[:2] == pytest.approx((0.02, 0.06), abs=0.04)
-    assert fit.residual < 0.03
+    assert fit.setup.offset[:2] == pytest.approx((0.02, 0.06), abs=0.04) and fit.residual < 0.03
     fit = fit_coarse(photograph(straight, roughness=0.7, radiometric=False))
     assert fit.setup.vignetting_centre == pytest.approx((0.0, 0.0), abs=0.05)
 
@@ -193,8 +186,7 @@ def _even(diffuse, specular, roughness):
 
 def test_a_conductor_is_told_from_a_dielectric():
     steel = fit_coarse(_even((1e-4,) * 3, (0.55, 0.53, 0.5), 0.35))
-    assert steel.conductor and 0.3 < steel.specular < 0.8
-    assert max(steel.diffuse) < 0.01
+    assert steel.conductor and 0.3 < steel.specular < 0.8 and max(steel.diffuse) < 0.01
     paint = fit_coarse(_even((0.2, 0.1, 0.05), (0.04,) * 3, 0.35))
     assert not paint.conductor and paint.specular == pytest.approx(0.04, rel=0.2)
     assert paint.roughness == pytest.approx(0.35, abs=0.05)
@@ -277,8 +269,7 @@ def test_a_coloured_flash_does_not_colour_a_black_dielectric():
 def test_the_level_of_albedo_is_surer_where_a_highlight_shows_f0():
     """One photograph measures albedo over F0, which is all that fixes its level."""
     glossy, matte = (fit_coarse(made(roughness=r)[1]).level_deviation for r in (0.3, 0.95))
-    assert 0.0 < glossy < 0.5
-    assert matte > 1.5 * glossy
+    assert 0.0 < glossy < 0.5 and matte > 1.5 * glossy
 
 
 # Highlights are found where the plane mirrors the flash, and coarse fits keep them.
@@ -296,8 +287,7 @@ def assert_kept(photo, fit):
     again = fit.tone.developed(photograph(fit.setup, size=size, **uniform).pixels)
     again = find_highlight(np.minimum(again, 1.0).mean(axis=2))
     there = find_highlight(light_of(photo.pixels))
-    assert there is not None and again is not None
-    assert math.dist(there.centre, again.centre) < 0.03
+    assert there is not None and again is not None and math.dist(there.centre, again.centre) < 0.03
     assert again.width == pytest.approx(there.width, rel=0.2)
     assert again.contrast == pytest.approx(there.contrast, rel=0.2)
 
@@ -312,15 +302,12 @@ def test_clipping_does_not_move_it():
     dim = find_highlight(light_of(polished(roughness=0.25, intensity=2.0).pixels))
     bright = find_highlight(light_of(polished(roughness=0.25, intensity=20.0).pixels))
     assert bright.peak < 1.01 < dim.contrast
-    assert bright.centre == pytest.approx(dim.centre, abs=0.015)
-    assert bright.contrast < dim.contrast
+    assert bright.centre == pytest.approx(dim.centre, abs=0.015) and bright.contrast < dim.contrast
 
 
 def test_rougher_is_wider():
-    widths = [
-        find_highlight(light_of(polished(roughness=r, intensity=0.1).pixels)).width
-        for r in (0.2, 0.3, 0.4)
-    ]
+    photos = (polished(roughness=r, intensity=0.1) for r in (0.2, 0.3, 0.4))
+    widths = [find_highlight(light_of(photo.pixels)).width for photo in photos]
     assert widths[0] < 0.85 * widths[1] < 0.72 * widths[2]
 
 

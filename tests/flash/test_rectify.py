@@ -104,8 +104,7 @@ def test_clipped_pixels_are_invalid_and_their_neighbours_valid():
 @pytest.mark.parametrize(("from_size", "detail"), [((64, 48), 128), ((512, 384), 128)])
 def test_detail_sets_the_size_whatever_the_photographs(from_size, detail):
     linear, valid = rectify(photograph(a_setup(), size=from_size), a_setup(), detail)
-    assert linear.shape == (3, detail * 3 // 4, detail)
-    assert valid.shape == linear.shape[1:]
+    assert linear.shape == (3, detail * 3 // 4, detail) and valid.shape == linear.shape[1:]
     mean = photograph(a_setup()).pixels.mean()
     assert float(linear.mean()) == pytest.approx(float(mean), rel=0.02)
     assert math.isfinite(float(linear.sum()))

@@ -138,8 +138,7 @@ def test_hdr_gain_map_is_reported_not_applied(tmp_path, codes, mark):
     marked.write_bytes(data[:2] + segment + data[2:])
     photo = load_photo(marked)
     np.testing.assert_array_equal(photo.pixels, load_photo(plain).pixels)
-    assert any("gain map" in note for note in photo.notes)
-    assert load_photo(plain).notes == ()
+    assert any("gain map" in note for note in photo.notes) and load_photo(plain).notes == ()
 
 
 @pytest.mark.parametrize("suffix", ["avif", "webp"])
