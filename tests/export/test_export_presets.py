@@ -143,8 +143,8 @@ def test_heights_are_read_back_by_the_sidecar(tmp_path, preset, file, unit, form
 @pytest.mark.parametrize(("bits", "kind"), [("8", np.uint8), ("16", np.uint16)])
 def test_pngs_have_the_bits_of_the_preset(tmp_path, bits, kind):
     write_export(moss(depth=bits), "unity-hdrp", tmp_path)
-    for file in tmp_path.glob("*.png"):
-        assert cv2.imread(str(file), cv2.IMREAD_UNCHANGED).dtype == kind
+    pictures = (cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in tmp_path.glob("*.png"))
+    assert {picture.dtype for picture in pictures} == {np.dtype(kind)}
 
 
 @pytest.mark.parametrize("bits", ["half", "float"])

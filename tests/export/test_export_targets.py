@@ -54,8 +54,10 @@ def test_targets_with_the_same_model_keep_the_maps(made, written, target, name):
 @pytest.mark.parametrize("target", DOCUMENTS)
 def test_the_same_maps_give_the_same_bytes(tmp_path, made, written, target):
     write_export(ExportJob(made["leather"], "leather"), target, tmp_path)
-    for file in written(target, "leather")[0].iterdir():
-        assert filecmp.cmp(file, tmp_path / file.name, shallow=False)
+    before = written(target, "leather")[0]
+    names = sorted(file.name for file in before.iterdir())
+    assert names == sorted(file.name for file in tmp_path.iterdir())
+    assert filecmp.cmpfiles(before, tmp_path, names, shallow=False) == (names, [], [])
 
 
 @pytest.mark.parametrize("target", DOCUMENTS)
@@ -145,7 +147,8 @@ def test_file_names_of_presets_are_those_of_the_table(captured, preset):
         asked = ["--workflow", form] if form else []
         assert main(["export", "out/leather", "--to", preset, *asked, "-q", "--overwrite"]) == 0
     there = " ".join(file.name for file in (captured / f"leather_{preset}").iterdir())
-    for part in re.findall(r"`([^`]+)`", row):
+    assert (parts := re.findall(r"`([^`]+)`", row))
+    for part in parts:
         wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there
         assert wanted.split(".")[0] in there
 
