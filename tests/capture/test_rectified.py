@@ -17,7 +17,6 @@ from matcap.api import relight
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture import preview, rectified
-from matcap.capture import rectified as tilt
 from matcap.capture.inspection import inspect_file
 from matcap.capture.pipeline import capture_file, capture_into
 from matcap.capture.rectified import (
@@ -133,7 +132,7 @@ def asked(monkeypatch):
         names.append(photo.name)
         return SAID
 
-    monkeypatch.setattr(tilt, "tilt_measurement", measure)
+    monkeypatch.setattr("matcap.capture.rectified.tilt_measurement", measure)
     return names
 
 

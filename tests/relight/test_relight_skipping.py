@@ -19,7 +19,6 @@ from matcap.files.exr import write_exr
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import shade
 from matcap.relight import render
-from matcap.relight import render as planning
 from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, area
 from matcap.relight.effects import relief as parallax
 from matcap.relight.plan import TILE, Budget, Tally
@@ -162,7 +161,7 @@ def test_the_sum_of_left_out_effects_is_within_the_tolerance(tolerance, monkeypa
     """Each of these could be left out alone at most tolerances; all of them not."""
     bounds = {name: 0.25 + 0.05 * index for index, name in enumerate(EFFECTS)}
     made = {name: Effect(lambda _, b=bound: Bound(b, "")) for name, bound in bounds.items()}
-    monkeypatch.setattr(planning, "EFFECTS", made)
+    monkeypatch.setattr(render, "EFFECTS", made)
     steps = make_plan(None, tolerance, EffectChoice()).steps
     off = sum(step.bound for step in steps if not step.on)
     assert off <= tolerance + 1e-12
