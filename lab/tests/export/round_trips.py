@@ -30,7 +30,7 @@ from simulated.materials import MATERIALS, realise
 from target_surfaces import residual
 
 import matcap
-from matcap.export import presets
+from matcap.export import workflows
 from matcap.export.job import ExportJob
 from matcap.export.presets import PRESETS
 from matcap.export.shading import residuals
@@ -171,12 +171,12 @@ def materials(paths, metallic):
 
 def metallic_forms(maps, preset):
     """{form: residual} of the ways in which base colour and metallic may be found."""
-    make, found, all_forms = preset_forms(preset)["metallic"], {}, presets.FORMS
+    make, found, all_forms = preset_forms(preset)["metallic"], {}, workflows.FORMS
     for form in all_forms:
-        presets.FORMS = (form,)
+        workflows.FORMS = (form,)
         job = ExportJob(maps, "m")
         found[form] = residuals(job, make(job).surfaces)["metallic"].mean
-    presets.FORMS = all_forms
+    workflows.FORMS = all_forms
     return found
 
 
