@@ -44,8 +44,7 @@ def test_metadata_that_no_curve_explains_is_ignored(stated):
 
 def test_linear_pictures_have_no_curve():
     ratio = fit_ratio(LIGHT, noisy(LIGHT / 16.0, 0.1), (LINEAR, LINEAR), 1 / 4)
-    assert ratio.curve is None
-    assert ratio.darker == pytest.approx(1 / 16, rel=0.01)
+    assert ratio.curve is None and ratio.darker == pytest.approx(1 / 16, rel=0.01)
 
 
 @pytest.mark.parametrize("brighter_is_coded", [True, False])

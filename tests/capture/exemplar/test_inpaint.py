@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from photographed import SETUP, Photographed, photographed
+from photographed import SETUP, Photographed, photographed, whole_plane
 
 from matcap.capture.exemplar.inpaint import Copies, composed, inpainted, transport
 from matcap.capture.exemplar.network.network import load_inverse
@@ -18,7 +18,6 @@ from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
-from matcap.flash.rectify import plane_of
 
 # Rings of albedo around the mirror point.
 
@@ -44,8 +43,7 @@ def away(mirror: tuple[float, float]) -> np.ndarray:
 def test_a_disc_is_found_within_its_radius(radius, gain):
     disc = away(MIRROR) < radius
     found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, away(MIRROR))
-    assert found[disc].all()
-    assert away(MIRROR)[found].max() < radius + 24.0
+    assert found[disc].all() and away(MIRROR)[found].max() < radius + 24.0
 
 
 def test_a_ring_is_found_with_what_it_surrounds_if_it_is_near():
@@ -75,8 +73,7 @@ def test_a_spot_away_from_the_mirror_point_is_kept():
 def test_a_narrow_core_is_found_off_the_fitted_mirror_point(off):
     core = away((MIRROR[0] + off[0], MIRROR[1] + off[1])) < 10.0
     found = remaining_highlight(texture(8) * np.where(core, 2.5, 1.0), KNOWN, away(MIRROR))
-    assert found[core].all()
-    assert found.sum() < 9 * core.sum()
+    assert found[core].all() and found.sum() < 9 * core.sum()
 
 
 def test_a_spot_like_others_is_kept():
@@ -114,7 +111,7 @@ def test_a_mirror_point_outside_of_the_picture_is_none():
 
 def test_a_spot_in_albedo_is_inpainted():
     shot = photographed(0.15, 0.15, width=512, height=384)
-    plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
+    plane = whole_plane(shot.linear)
     observed, prediction = predict_maps(Observation.of(plane, shot.uniform), load_inverse())
     prediction = refine_maps(observed, prediction)
     residuals = prediction.residuals
@@ -138,15 +135,15 @@ HOLE = (slice(100, 220), slice(180, 330))
 
 def _hidden(shot: Photographed, confidence: float = 1e-3) -> Exemplar:
     """Maps whose albedo is told nothing of inside the hole: flat and pale there."""
-    maps = shot.maps
-    trusted = np.ones((4, *maps.height.shape[-2:]), np.float32)
-    trusted[:, *HOLE] = confidence
-    albedo = maps.diffuse.clamp(0.0, 0.95).numpy().copy()
-    albedo[:, *HOLE] = 0.8
-    return Exemplar(
-        albedo, maps.specular.numpy(), maps.roughness.numpy(), maps.height.numpy(), trusted,
-        maps.texel_size,
-    )  # fmt: skip
+    exemplar = _certain(shot)
+    exemplar.confidence[:, *HOLE] = confidence
+    exemplar.diffuse[:, *HOLE] = 0.8
+    return exemplar
+
+
+def _certain(shot: Photographed) -> Exemplar:
+    maps = replace(shot.maps, diffuse=shot.maps.diffuse.clamp(0.0, 0.95))
+    return Exemplar.certain(maps.stacked().numpy(), maps.texel_size)
 
 
 def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) -> Exemplar:
@@ -290,11 +287,8 @@ def test_confident_scattered_or_tiny_exemplars_are_not_inpainted(shot: Photograp
     scattered = replace(exemplar, confidence=specks)
     assert _lent(shot, scattered) is scattered
     small = photographed(0.1, 0.5, width=40, height=30)
-    tiny = Exemplar(
-        small.maps.diffuse.clamp(0.0, 0.95).numpy(), small.maps.specular.numpy(),
-        small.maps.roughness.numpy(), small.maps.height.numpy(),
-        np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0), small.maps.texel_size,
-    )  # fmt: skip
+    diagonal = np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0)
+    tiny = replace(_certain(small), confidence=diagonal)
     assert _lent(small, tiny) is tiny
 
 
@@ -323,8 +317,7 @@ def test_blocks_leave_no_steps_in_roughness(shot: Photographed) -> None:
     exemplar = replace(exemplar, roughness=np.broadcast_to(across, exemplar.roughness.shape).copy())
     filled = _lent(shot, exemplar, HOLE).roughness[0]
     steps = max(np.abs(np.diff(filled, axis=axis)).max() for axis in (0, 1))
-    assert np.abs(filled - exemplar.roughness[0]).max() > 0.01
-    assert steps < 0.03
+    assert np.abs(filled - exemplar.roughness[0]).max() > 0.01 and steps < 0.03
 
 
 # Copied texels meet without steps, and keep what they draw.
@@ -374,8 +367,7 @@ def test_a_drift_between_source_and_target_leaves_no_step():
     assert step(plain) > 4.0 and step(blended) < 1.5
     inside = (0, slice(26, 38), slice(26, 38))
     kept = np.corrcoef(np.diff(plain[inside]).ravel(), np.diff(blended[inside]).ravel())[0, 1]
-    assert kept > 0.98
-    assert np.array_equal(blended[:, ~FREE], maps[:, ~FREE])
+    assert kept > 0.98 and np.array_equal(blended[:, ~FREE], maps[:, ~FREE])
 
 
 def test_far_from_a_seam_texels_are_those_of_the_source():
