@@ -46,8 +46,13 @@ _WHOLE_DONOR = 0.95  # least confident share of a donor block
 # A texel whose log albedo is this many times the median distance from the median is a mark, unless
 # more than _MARKED of the picture are: dust, a stain, what lies around the sample.
 _OUTSTANDING, _MARKED = 7.0, 0.03
+# A scratch or vein is no brighter than much of the rest; averaged along itself it stands out. Width
+# and length of the ridges that are compared, standard deviations in texels, and their directions.
+_STREAK, _DIRECTIONS = (2.0, 12.0), 12
 _GRAIN = 8  # texels of marks in a block that nobody sees a second time
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
+# Mismatch of a block that has been copied before: the eye finds it next to itself.
+_REUSED = 1.0
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
 # A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
@@ -287,7 +292,7 @@ def _choose(
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
     known, seen = known.copy(), planes.features.copy()
-    allowed = np.zeros(known.shape, np.bool_)
+    allowed, copied = np.zeros((2, *known.shape), np.bool_)
     allowed[donors[:, 0], donors[:, 1]] = True
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
@@ -295,7 +300,9 @@ def _choose(
         follow = [(y, x) for y, x in _continued(place, chosen) if min(y, x) >= 0 and allowed[y, x]]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
+        here = _block(place)
         mismatch = _discontinuity(place, blocks, planes.features, seen, known)
+        mismatch += _REUSED * _shown_before(blocks, ~known[here], copied)
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
         blocks, mismatch = blocks[nearest], mismatch[nearest]
@@ -304,10 +311,20 @@ def _choose(
         source = place if shown.is_distinct else (int(blocks[best][0]), int(blocks[best][1]))
         if not shown.is_distinct:
             chosen[place] = source
-        here, there = _block(place), _block(source)
+        there = _block(source)
+        copied[there] |= ~known[here]
         seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
         known[here] = True
     return chosen
+
+
+def _shown_before(blocks: BlockPlaces, new: TexelMask, copied: TexelMask) -> Floats:
+    """(N,) share of the texels that blocks would add, `new`, that have been copied before."""
+    rows, columns = (_THINNED * each for each in np.nonzero(new[::_THINNED, ::_THINNED]))
+    if not rows.size:
+        return np.zeros(len(blocks), np.float32)
+    sources = blocks[:, :1] + rows, blocks[:, 1:] + columns
+    return np.asarray(copied[sources].mean(axis=1), np.float32)
 
 
 def _continued(
@@ -391,11 +408,35 @@ def _around(texels: TexelMask) -> TexelMask:
 
 
 def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
-    """(H, W) bool: visible texels whose albedo is like hardly any other's."""
+    """(H, W) bool: visible texels whose albedo, alone or along a line, is like hardly any other's."""
     log = np.stack([cv2.GaussianBlur(np.log(plane.clip(1e-3)), (0, 0), 1.0) for plane in albedo])
     deviation = np.abs(log - np.median(log[:, visible], axis=1)[:, None, None]).max(axis=0)
-    usual, most = np.quantile(deviation[visible], [0.5, 1.0 - _MARKED])
-    return np.asarray(visible & (deviation > max(_OUTSTANDING * usual, most)))
+    deviation /= max(float(np.median(deviation[visible])), 1e-6)
+    marks = np.zeros_like(visible)
+    for each in (deviation, _streaks(log.mean(axis=0), visible)):
+        marks |= each > max(_OUTSTANDING, float(np.quantile(each[visible], 1.0 - _MARKED)))
+    return np.asarray(visible & marks)
+
+
+def _streaks(plane: Floats, visible: TexelMask) -> Floats:
+    """(H, W) largest response of ridges over the median response of their direction.
+
+    A grain has the same everywhere, and thus no large one; a scratch across it has. Computed on
+    half of the rows and columns.
+    """
+    thin = cv2.resize(plane, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    seen = visible[::2, ::2][: thin.shape[0], : thin.shape[1]]
+    width, length = (0.5 * each for each in _STREAK)
+    reach = round(2.5 * length)
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    largest = np.zeros_like(thin)
+    for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
+        along, across = (x * np.cos(each) + y * np.sin(each) for each in (angle, angle + np.pi / 2))
+        narrow, wide = (np.exp(-0.5 * (across / w) ** 2) / w for w in (width, 2.5 * width))
+        ridge = np.exp(-0.5 * (along / length) ** 2) * (narrow - wide)
+        response = np.abs(cv2.filter2D(thin, -1, (ridge - ridge.mean()).astype(np.float32)))
+        largest = np.maximum(largest, response / max(float(np.median(response[seen])), 1e-6))
+    return np.asarray(cv2.resize(largest, plane.shape[::-1]), np.float32)
 
 
 def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:
