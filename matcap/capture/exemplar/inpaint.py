@@ -30,6 +30,7 @@ from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
+from matcap.statistics.streaks import streaks
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place
@@ -46,9 +47,6 @@ _WHOLE_DONOR = 0.95  # least confident share of a donor block
 # A texel whose log albedo is this many times the median distance from the median is a mark, unless
 # more than _MARKED of the picture are: dust, a stain, what lies around the sample.
 _OUTSTANDING, _MARKED = 7.0, 0.03
-# A scratch or vein is no brighter than much of the rest; averaged along itself it stands out. Width
-# and length of the ridges that are compared, standard deviations in texels, and their directions.
-_STREAK, _DIRECTIONS = (2.0, 12.0), 12
 _GRAIN = 8  # texels of marks in a block that nobody sees a second time
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 # Mismatch of a block that has been copied before: the eye finds it next to itself.
@@ -408,35 +406,21 @@ def _around(texels: TexelMask) -> TexelMask:
 
 
 def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
-    """(H, W) bool: visible texels whose albedo, alone or along a line, is like hardly any other's."""
+    """(H, W) bool: visible texels whose albedo, alone or along a line, is like hardly any other's.
+
+    Lines are compared on half of the rows and columns.
+    """
     log = np.stack([cv2.GaussianBlur(np.log(plane.clip(1e-3)), (0, 0), 1.0) for plane in albedo])
     deviation = np.abs(log - np.median(log[:, visible], axis=1)[:, None, None]).max(axis=0)
     deviation /= max(float(np.median(deviation[visible])), 1e-6)
+    size = visible.shape[1] // 2, visible.shape[0] // 2
+    thin = cv2.resize(log.mean(axis=0), size, interpolation=cv2.INTER_AREA)
+    seen = cv2.resize(visible.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    lines = cv2.resize(streaks(thin, np.asarray(seen)), visible.shape[::-1])
     marks = np.zeros_like(visible)
-    for each in (deviation, _streaks(log.mean(axis=0), visible)):
+    for each in (deviation, lines):
         marks |= each > max(_OUTSTANDING, float(np.quantile(each[visible], 1.0 - _MARKED)))
     return np.asarray(visible & marks)
-
-
-def _streaks(plane: Floats, visible: TexelMask) -> Floats:
-    """(H, W) largest response of ridges over the median response of their direction.
-
-    A grain has the same everywhere, and thus no large one; a scratch across it has. Computed on
-    half of the rows and columns.
-    """
-    thin = cv2.resize(plane, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    seen = visible[::2, ::2][: thin.shape[0], : thin.shape[1]]
-    width, length = (0.5 * each for each in _STREAK)
-    reach = round(2.5 * length)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    largest = np.zeros_like(thin)
-    for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
-        along, across = (x * np.cos(each) + y * np.sin(each) for each in (angle, angle + np.pi / 2))
-        narrow, wide = (np.exp(-0.5 * (across / w) ** 2) / w for w in (width, 2.5 * width))
-        ridge = np.exp(-0.5 * (along / length) ** 2) * (narrow - wide)
-        response = np.abs(cv2.filter2D(thin, -1, (ridge - ridge.mean()).astype(np.float32)))
-        largest = np.maximum(largest, response / max(float(np.median(response[seen])), 1e-6))
-    return np.asarray(cv2.resize(largest, plane.shape[::-1]), np.float32)
 
 
 def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:
