@@ -50,7 +50,7 @@ _OUTSTANDING, _MARKED = 7.0, 0.03
 _GRAIN = 8  # texels of marks in a block that nobody sees a second time
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 # Mismatch of a block that has been copied before: the eye finds it next to itself.
-_REUSED = 1.0
+_REUSED = 0.3
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
 # A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
