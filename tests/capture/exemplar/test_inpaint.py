@@ -148,10 +148,16 @@ def _certain(shot: Photographed) -> Exemplar:
 
 def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) -> Exemplar:
     """Inpainted; the photograph is clipped in a hole, if any."""
+    return _transported(shot, exemplar, hole)[0]
+
+
+def _transported(
+    shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...]
+) -> tuple[Exemplar, Copies | None]:
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:
         valid[hole] = False
-    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)[0]
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:
@@ -276,6 +282,45 @@ def test_marks_are_not_copied_but_those_of_most_blocks_are(shot: Photographed) -
         exemplar = replace(marked, diffuse=albedo)
         whole = _lent(shot, exemplar, HOLE)
         assert bool((whole.diffuse[:, *HOLE] < 0.02).any()) == copied
+
+
+def _noise(shot: Photographed) -> np.ndarray:
+    """Log albedo of an irregular texture of two tones."""
+    noise = np.random.default_rng(5).standard_normal(shot.maps.height.shape[-2:])
+    blurred = cv2.GaussianBlur(noise.astype(np.float32), (0, 0), 1.5)
+    return 0.4 * np.tanh(3.0 * blurred / blurred.std())
+
+
+def _drawn(shot: Photographed, log: np.ndarray) -> Photographed:
+    """The photograph of an even material with this log albedo."""
+    albedo = 0.1 * torch.from_numpy(log).float().exp().expand(3, -1, -1)
+    maps = replace(shot.maps, diffuse=albedo)
+    return replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+
+
+def test_scratches_are_not_copied(shot: Photographed) -> None:
+    """Scratches are not shown again, though the texture's own tones differ as much."""
+    log = _noise(shot)
+    lines = np.zeros(log.shape, np.uint8)
+    for first in ((40, 20), (230, 222), (380, 230)):
+        for by in range(0, 60, 20):
+            cv2.line(lines, (first[0] + by, first[1]), (first[0] + by + 50, first[1] + 110), 1, 6)
+    lines[HOLE] = 0
+    scratched = _drawn(shot, np.where(lines, 0.8, log))
+    _, copies = _transported(scratched, _hidden(scratched), HOLE)
+    assert copies is not None
+    # The borders of blocks may touch one.
+    assert lines[copies.source[0], copies.source[1]][copies.copied].mean() < 0.01
+
+
+def test_no_place_is_copied_twice(shot: Photographed) -> None:
+    """With room for other places; the eye finds one next to itself."""
+    drawn = _drawn(shot, _noise(shot))
+    _, copies = _transported(drawn, _hidden(drawn), HOLE)
+    assert copies is not None
+    rows, columns = copies.source[:, copies.copied]
+    times = np.bincount(rows * 512 + columns)
+    assert times[times > 1].sum() < 0.1 * times.sum()
 
 
 def test_confident_scattered_or_tiny_exemplars_are_not_inpainted(shot: Photographed) -> None:
