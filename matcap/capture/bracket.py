@@ -51,6 +51,7 @@ _DETECTED = 1024  # pixels across at which photographs are compared
 _MERGED = 512  # fewest across at which RAW ones are aligned as read; at 384, 3 of 8 materials fail
 # Alignment: pixels across of the tiles' grid and of the first, whole shift; pixels of a tile.
 _COLUMNS, _WHOLE, _TILE = 1024, 256, 128
+_ACROSS = 8  # half tiles across, of pictures too small for four of _TILE
 _FINEST = 4096  # pixels across of files of which single ones give the tone curve
 _ROUNDS = 3
 _FARTHEST = 0.2  # of a side: standard deviation by which nearer shifts are preferred
@@ -442,9 +443,10 @@ def alignment(first: Photo, second: Photo) -> Matrix | None:
     small = (area_averaged(each, size)[None] for each in (fixed, moving))
     shift = _shifts(*small)[0][0] * (columns / _WHOLE)
     warp = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
-    places = _tiles(seen)
+    tile = min(_TILE, 2 * (columns // _ACROSS))
+    places = _tiles(seen, tile)
     if len(places) < _LEAST_TILES:
-        return None
+        return _turned(first, second)
     for start in (warp, np.eye(3)):
         homography, agreeing = _refined(fixed, moving, places, start)
         if agreeing >= max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
@@ -482,11 +484,12 @@ def _refined(
 ) -> tuple[Matrix, int]:
     """A homography (3, 3) of pixels fitted to shifts of tiles, and how many tiles agree on it."""
     size, count = fixed.shape[::-1], 0
-    middles = (places + 0.5 * (_TILE - 1)).astype(np.float64)
+    tile = min(_TILE, 2 * (size[0] // _ACROSS))
+    middles = (places + 0.5 * (tile - 1)).astype(np.float64)
     for _ in range(_ROUNDS):
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         near = np.asarray(cv2.warpPerspective(moving, warp, size, flags=flags), np.float32)
-        cut = [np.stack([each[y : y + _TILE, x : x + _TILE] for x, y in places])
+        cut = [np.stack([each[y : y + tile, x : x + tile] for x, y in places])
                for each in (fixed, near)]  # fmt: skip
         shifts, strength = _shifts(*cut)
         usable = strength > _LEAST_CORRELATION
@@ -527,15 +530,15 @@ def _shifts(fixed: Picture, moving: Picture) -> tuple[Matrix, NDArray[np.float64
     return shifts.T, here / np.maximum(power, 1e-12)
 
 
-def _tiles(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _tiles(seen: NDArray[np.bool_], tile: int) -> NDArray[np.int64]:
     """(n, 2) upper left corners (x, y) of tiles most of which is usable."""
     height, width = seen.shape
-    step = _TILE // 2
+    step = tile // 2
     corners = [
         (x, y)
-        for y in range(0, height - _TILE + 1, step)
-        for x in range(0, width - _TILE + 1, step)
-        if seen[y : y + _TILE, x : x + _TILE].mean() > 0.5
+        for y in range(0, height - tile + 1, step)
+        for x in range(0, width - tile + 1, step)
+        if seen[y : y + tile, x : x + tile].mean() > 0.5
     ]
     return np.array(corners, np.int64).reshape(-1, 2)
 
