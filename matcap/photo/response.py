@@ -7,8 +7,8 @@ Of a pixel with light x in the first and k x in the second, with k < 1 and the c
 whatever x is, and g(x) and g(k x) have the same rank among the values of their channel. The
 shoulder w is the one at which the left side is the same in all tones ([debevec1997], with two
 numbers in place of a table). The exponent c is then known if k is, by exposure metadata; else
-it is the prior's and gives k. Of a curve g in one picture and linear light in the other, c follows from
-the pair alone, and w and k from both it and the stated k.
+it is the prior's and gives k. Of a curve g in one picture and linear light in the other, the pair
+alone gives c, and with the stated k also w and k.
 """
 
 from __future__ import annotations
