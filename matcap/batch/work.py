@@ -433,13 +433,16 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
 
     verdict = result.verdict
     warned = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
-    warned += warnings(result)
+    told = " ".join(warned).lower()
+    said = list(warnings(result))
     if job.detail != job.settings.capture.most_detail:
-        warned.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
+        said.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
         poor = [f.line() for f in inspection.findings if not f.rating.fit]
-        warned += [f"{of}{line}" for line in poor if line not in warned]
+        said += [f"{of}{line}" for line in poor if line not in said]
+    # The verdict states what of the photograph is worst, and may give its remedy.
+    warned += [s for s in said if not all(p in told for p in s.lower().rstrip(".").split(". "))]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,
