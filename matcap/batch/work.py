@@ -433,7 +433,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
 
     verdict = result.verdict
     warned = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
-    told = " ".join(warned).lower()
+    stated = " ".join(warned).lower()
     said = list(warnings(result))
     if job.detail != job.settings.capture.most_detail:
         said.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
@@ -442,7 +442,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         poor = [f.line() for f in inspection.findings if not f.rating.fit]
         said += [f"{of}{line}" for line in poor if line not in said]
     # The verdict states what of the photograph is worst, and may give its remedy.
-    warned += [s for s in said if not all(p in told for p in s.lower().rstrip(".").split(". "))]
+    warned += [s for s in said if not all(p in stated for p in s.lower().rstrip(".").split(". "))]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,

@@ -343,7 +343,7 @@ def _following(
     profile = np.log(np.maximum(sums / counts, 1e-6))
     more = np.interp(there, many, profile) - np.interp(here, many, profile)
     seen = flank.all(axis=2)
-    off = np.log(known.mean(axis=2)[seen] / grey[seen])
+    off = np.log(np.maximum(known.mean(axis=2)[seen], 1e-6) / grey[seen])
     share = (off @ more[seen]) / max(float(more[seen] @ more[seen]), 1e-9)
     return np.asarray(np.exp(np.clip(share, 0.0, 1.0) * more)[..., None], np.float32)
 
