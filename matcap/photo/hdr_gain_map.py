@@ -106,10 +106,15 @@ class HdrGainMap:
 
         The map must be on the grid of the base (resized).
         """
+        import cv2
+
         codes, last = self.codes[rows], self.gains.shape[1] - 1
-        gain = [self.gains[:, min(k, last)][codes[..., k]] for k in range(codes.shape[2])]
+        gain = [
+            np.take(np.ascontiguousarray(self.gains[:, min(k, last)]), codes[..., k], mode="clip")
+            for k in range(codes.shape[2])
+        ]
         light = base + self.base_offset if self.base_offset.any() else base
-        light = light * np.stack(gain, axis=2)
+        light = light * np.asarray(cv2.merge(gain * (3 // len(gain))), np.float32)
         if self.offset.any():
             light = np.maximum(light - self.offset, 0.0)
         full = np.asarray((codes >= self._full_code).any(axis=-1), np.bool_)
@@ -223,7 +228,8 @@ def of_heic(path: Path, pixels: Pixels) -> HdrGainMap:
     # XMP of the auxiliary picture is stored as it is, and not handed out.
     headroom = apple_headroom(exif_ifd(pixels.info.get("exif") or b""), path.read_bytes())
     gain_map = apple(codes.reshape(*codes.shape[:2], -1), None, headroom)
-    turned = replace(gain_map, codes=np.ascontiguousarray(np.rot90(gain_map.codes)))
+    stored = np.rot90(codes.reshape(*codes.shape[:2], -1))
+    turned = replace(gain_map, codes=np.ascontiguousarray(stored[..., :1]))
     size = pixels.size
     return gain_map if gain_map.fits(*size) or not turned.fits(*size) else turned
 
