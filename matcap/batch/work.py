@@ -393,7 +393,6 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     from matcap.capture.inspection import photograph_quality
     from matcap.capture.pipeline import capture_photo, read_exposures
     from matcap.capture.report import write_outputs
-    from matcap.photo.inspect import inspect_photo
 
     started = time.perf_counter()
     on_progress(Progress("reading", 0.0))
@@ -409,9 +408,8 @@ def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
 
     result = capture_photo(photos[0], chosen, on_progress, others=photos[1:])
     on_progress(Progress("writing", 0.95))
-    # Findings use the capture's tilt, so that report and record agree.
-    first = inspect_photo(photos[0], result.material.setup.tilt)
-    looked_at = [first, *map(photograph_quality, photos[1:])]
+    # The first one's are the report's, so that both agree.
+    looked_at = [result.measurements.photograph, *map(photograph_quality, photos[1:])]
     record = _about(job, looked_at, result)
     with recorded(job.out / job.name, record):
         write_outputs(result, job.out / job.name, settings.outputs)
@@ -435,13 +433,16 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
 
     verdict = result.verdict
     warned = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
-    warned += warnings(result)
+    stated = " ".join(warned).lower()
+    said = list(warnings(result))
     if job.detail != job.settings.capture.most_detail:
-        warned.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
+        said.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
         poor = [f.line() for f in inspection.findings if not f.rating.fit]
-        warned += [f"{of}{finding}" for finding in poor]
+        said += [f"{of}{line}" for line in poor if line not in said]
+    # The verdict states what of the photograph is worst, and may give its remedy.
+    warned += [s for s in said if not all(p in stated for p in s.lower().rstrip(".").split(". "))]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,

@@ -1,18 +1,17 @@
 """Brackets: photographs from one place at several exposures, merged into one radiance.
 
 Photographs are a bracket if their exposures are a stop or more apart and their cameras are less
-than _NEAR of the distance apart. That is measured by aligning each to the first: a homography of
-the sample's plane, fitted to the shifts of tiles at which normalised contrast correlates best.
-With d the distance, n the normal and t the way of the camera, it is
-R + t n^T / d, whose largest and smallest singular values differ by |t| / d.
+than _NEAR of the distance apart, by the homography that aligns each to the first
+(registration/one_place.py).
 
 Values become light by the pictures' common tone curve (photo/response.py). Each pixel is then the
 mean of what the photographs measure there, weighted by the inverse of their variances. Clipped and
 almost clipped values are left out, and what moved or is aligned wrongly: where a photograph
-deviates from the brightest unclipped one by more than _DEVIATES. Glints move with the camera: near
-clipped places the darker photograph is right there, as it alone shows all of them; its light is
-brought to the highlight of the longer one, by a smooth factor. White is that of the longest, and
-the result clips where the shortest exposure does (Photo.headroom).
+deviates from the brightest unclipped one by more than _DEVIATES. A highlight moves with the camera:
+on flat material as a whole, and the darker photograph's is moved back as far as the flanks of the
+longer one's say; on relief as glints: near clipped places the darker one is right there, as it
+alone shows all of them. What differs still is made even by a smooth factor. White is that of the
+longest, and the result clips where the shortest exposure does (Photo.headroom).
 """
 
 from __future__ import annotations
@@ -28,19 +27,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.registration.keypoints import normalise_contrast
+from matcap.capture.registration.one_place import (
+    COLUMNS,
+    Matrix,
+    Picture,
+    alignment,
+    focal_length,
+    pixel_units,
+    way_of_camera,
+    way_of_highlight,
+)
 from matcap.errors import MatcapError
 from matcap.files.color import srgb_slope
 from matcap.files.containers import FileKind
 from matcap.files.process import quiet_decoders
 from matcap.photo.exif import Exif, read_exif
-from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.load import file_kind, load_photo
 from matcap.photo.photo import FULL, Photo, ToneCurve
 from matcap.photo.response import faintest_value, ratio_of_exposures
-
-Picture = NDArray[np.float32]
-Matrix = NDArray[np.float64]
 
 MOST = 5  # photographs of a bracket
 MERGED = "A bracket, merged with"  # how its note begins
@@ -49,19 +53,7 @@ _LEAST_DARKER = 0.4  # stops between medians of values, which a shoulder brings 
 _NEAR = 0.05  # way of the camera over its distance
 _DETECTED = 1024  # pixels across at which photographs are compared
 _MERGED = 512  # fewest across at which RAW ones are aligned as read; at 384, 3 of 8 materials fail
-# Alignment: pixels across of the tiles' grid and of the first, whole shift; pixels of a tile.
-_COLUMNS, _WHOLE, _TILE = 1024, 256, 128
 _FINEST = 4096  # pixels across of files of which single ones give the tone curve
-_ROUNDS = 3
-_FARTHEST = 0.2  # of a side: standard deviation by which nearer shifts are preferred
-_INLIER = 1.0  # pixels by which a tile's shift may differ from the homography's
-_LEAST_CORRELATION = 0.08  # of a tile's contrast, where a dark picture's is half noise
-_LEAST_TILES, _LEAST_AGREEING = 10, 0.4  # number, and share, of tiles that agree
-# Pixels across, and least correlation, of the whole picture where too few tiles agree, as on smooth
-# materials: of ten materials it is at least 0.44, of unlike pairs of them at most 0.2.
-_SMOOTH, _LEAST_WHOLE = 512, 0.3
-_SAME_SHAPE = 0.02  # difference of heights over the width
-_LEVEL = 128.0  # of normalised contrast, where there is none
 # Largest difference of log light by tone, and median by pixel; a room's light has more.
 _SAME_LIGHT, _SAME_PIXELS = 0.15, 0.3
 _NOISY = 2.0  # pixels, standard deviation of a blur against noise
@@ -73,6 +65,10 @@ _DEVIATES = 0.25  # log light; larger local differences are motion or misregistr
 _LOCAL = 2.0  # pixels, standard deviation of their averages
 _GLINT = 0.3  # light, of the longest exposure's white, from which on what moved is a glint
 _GLINT_WIDTH = 4  # pixels, added to the way of the mirror point
+# Of highlights: pixels of a way that counts; widths of the picture, standard deviation of the blur
+# that finds one, and the innermost ring; rings per octave of radius.
+_LEAST_WAY, _LOBE, _INNERMOST, _RINGS = 0.5, 1 / 32, 0.01, 4.0
+_FEW_OF_RING = 20
 _NOISE_AROUND = 4.0  # pixels, standard deviation of averages of its variance
 _SHOT = 1.0 / 6000.0  # variance of light over light, white being 1, of a sensor that is not known
 
@@ -159,6 +155,8 @@ class _Aligned:
     """Way of its camera from the first's, over the distance."""
     homography: Matrix = field(default_factory=partial(np.eye, 3))
     """alignment() of the first with it."""
+    highlight: tuple[float, float] = (0.0, 0.0)
+    """Way (x, y) of its highlight from the first's, pixels."""
 
     @property
     def whole(self) -> Photo | None:
@@ -169,7 +167,8 @@ class _Aligned:
     @cached_property
     def glint_reach(self) -> int:
         """Pixels by which glints may be elsewhere than in the first photograph."""
-        return _GLINT_WIDTH + math.ceil(self.way * _focal(self.photo.fov) * self.pixels.shape[1])
+        way = self.way * focal_length(self.photo.fov) * self.pixels.shape[1]
+        return _GLINT_WIDTH + math.ceil(way)
 
 
 @dataclass(frozen=True)
@@ -220,15 +219,20 @@ class Bracket:
         longest_first = np.argsort(self.factors, kind="stable").tolist()
         clips, bound = np.zeros(first.clipped.shape, np.bool_), np.zeros_like(total)
         for number in longest_first:
-            view, light = self.views[number], self.light(number)
-            weight = self._weight(number)
+            view, light, weight = self.views[number], self.light(number), self._weight(number)
             if number != longest_first[0]:
                 faintest = self.factors[number] * faintest_value(view.photo)
+                way = self._way(longest_first[0], number)
+                flank = (weights > 0.0) & (light > faintest) & ~clips[..., None]
+                flank &= _around(clips, view.glint_reach)[..., None]
+                known = np.asarray(total / np.maximum(weights, 1e-30), np.float32)
+                follows = _following(light, known, flank, way)
+                light = light * follows
+                weight = np.asarray(weight / np.square(follows), np.float32)
                 light = light * _evening(light, total, weights, faintest, view.glint_reach)
                 moved = _moved(light, total, weights, faintest)
-                around = np.ones((2 * view.glint_reach + 1,) * 2, np.uint8)
-                bright = np.maximum(light, total / np.maximum(weights, 1e-30)).max(axis=2) > _GLINT
-                glint = moved & bright & (cv2.dilate(clips.astype(np.uint8), around) > 0)
+                bright = np.maximum(light, known).max(axis=2) > _GLINT
+                glint = moved & bright & _around(clips, view.glint_reach)
                 weight = weight * ~(moved & ~glint)[..., None]
                 for each in (total, weights, noise):
                     each[glint & view.inside] = 0.0
@@ -260,6 +264,11 @@ class Bracket:
             tone=self.views[longest].photo.tone or self.curves[longest],
             notes=(*first.notes, *self._notes()),
         )
+
+    def _way(self, longer: int, number: int) -> tuple[float, float]:
+        """Way (x, y) of a highlight from a longer exposure to another, pixels."""
+        (x, y), (across, down) = self.views[longer].highlight, self.views[number].highlight
+        return across - x, down - y
 
     def _notes(self) -> tuple[str, ...]:
         others = []
@@ -296,6 +305,47 @@ class Bracket:
         weight = fade / (relative * np.square(light) + np.float32(1e-12))
         known = view.inside & ~view.clipped
         return np.asarray(np.where(known[..., None], weight, 0.0), np.float32)
+
+
+def _around(where: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """(H, W) whether a place is up to so many pixels away."""
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(where.astype(np.uint8), square) > 0)
+
+
+def _following(
+    light: Picture, known: Picture, flank: NDArray[np.bool_], way: tuple[float, float]
+) -> Picture:
+    """(H, W, 1) factor from light whose highlight moved by a way (x, y) to that of a longer one.
+
+    Means over rings around the mirror point say how the lobe falls off; its texture stays. The
+    exponent of their ratio is regressed on the known light of the flank: 1 on flat material, 0
+    where glints stay on slopes steeper than the way.
+    """
+    grey, rows, columns = light.mean(axis=2), *light.shape[:2]
+    if math.hypot(*way) < _LEAST_WAY or not flank.any():
+        return np.ones((rows, columns, 1), np.float32)
+    blurred = cv2.GaussianBlur(grey, (0, 0), _LOBE * columns)
+    y, x = divmod(int(blurred.argmax()), columns)
+
+    def rings(x: float, y: float) -> Picture:
+        down, across = np.ogrid[-y : rows - y - 0.5, -x : columns - x - 0.5]
+        return np.asarray(_RINGS * np.log2(1.0 + np.hypot(down, across) / (_INNERMOST * columns)))
+
+    here, there = rings(x, y), rings(x - way[0], y - way[1])
+    ring = np.rint(here).astype(np.int64).ravel()
+    counts = np.bincount(ring)
+    (many,) = np.nonzero(counts)
+    sums, counts = np.bincount(ring, grey.ravel())[many], counts[many]
+    for k in range(len(many) - 2, -1, -1):  # few pixels: mostly those of the next ring
+        sums[k] += _FEW_OF_RING * sums[k + 1] / counts[k + 1]
+        counts[k] += _FEW_OF_RING
+    profile = np.log(np.maximum(sums / counts, 1e-6))
+    more = np.interp(there, many, profile) - np.interp(here, many, profile)
+    seen = flank.all(axis=2)
+    off = np.log(np.maximum(known.mean(axis=2)[seen], 1e-6) / grey[seen])
+    share = (off @ more[seen]) / max(float(more[seen] @ more[seen]), 1e-9)
+    return np.asarray(np.exp(np.clip(share, 0.0, 1.0) * more)[..., None], np.float32)
 
 
 def _evening(
@@ -355,7 +405,7 @@ def aligned_bracket(photos: Sequence[Photo], *, sampled: bool = False) -> Bracke
     """The bracket of photographs, aligned to the first; None if they are none.
 
     Args:
-        sampled: of single pixels, on a grid of at most _COLUMNS.
+        sampled: of single pixels, on a grid of at most COLUMNS.
     """
     if not 2 <= len(photos) <= MOST:
         return None
@@ -397,7 +447,7 @@ def _views(
     """Photographs on the pixels of the first; arguments as of aligned_bracket."""
     first, (rows, columns) = photos[0], photos[0].pixels.shape[:2]
     if sampled:
-        shape = round(rows * min(1.0, _COLUMNS / columns)), min(columns, _COLUMNS)
+        shape = round(rows * min(1.0, COLUMNS / columns)), min(columns, COLUMNS)
         views = [_resampled(first, np.eye(3), shape, cv2.INTER_NEAREST)]
     else:
         shape, near = (rows, columns), _spread_clipping(first) > 0.05
@@ -406,8 +456,10 @@ def _views(
     how = cv2.INTER_NEAREST if sampled else cv2.INTER_CUBIC
     for photo, homography in zip(photos[1:], homographies[1:], strict=True):
         way = way_of_camera(homography, first, photo)
+        highlight = (shape[1] * step for step in way_of_highlight(homography, first, photo))
         view = _resampled(photo, homography, shape, how)
-        views.append(replace(view, way=way, homography=homography))
+        known = replace(view, way=way, homography=homography, highlight=tuple(highlight))
+        views.append(known)
     return tuple(views)
 
 
@@ -428,154 +480,10 @@ def merge_bracket(photos: Sequence[Photo]) -> Photo:
     return bracket.merged()
 
 
-def alignment(first: Photo, second: Photo) -> Matrix | None:
-    """(3, 3) homography from places in the first photograph to those in the second, (x, y, 1).
-
-    In units of the first's width and of the second's, from the upper left. None if their contrast
-    does not agree on one.
-    """
-    columns = min(_COLUMNS, first.pixels.shape[1], second.pixels.shape[1])
-    (fixed, seen), (moving, _) = (_contrast(each, columns) for each in (first, second))
-    if abs(len(fixed) - len(moving)) > _SAME_SHAPE * columns:
-        return None
-    size = _WHOLE, 2 * (round(_WHOLE * len(fixed) / columns) // 2)
-    small = (area_averaged(each, size)[None] for each in (fixed, moving))
-    shift = _shifts(*small)[0][0] * (columns / _WHOLE)
-    warp = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
-    places = _tiles(seen)
-    if len(places) < _LEAST_TILES:
-        return None
-    for start in (warp, np.eye(3)):
-        homography, agreeing = _refined(fixed, moving, places, start)
-        if agreeing >= max(_LEAST_TILES, _LEAST_AGREEING * len(places)):
-            break
-    else:
-        return _turned(first, second)
-    units = _units(columns)
-    return np.asarray(units @ homography @ np.linalg.inv(units))
-
-
-def _units(columns: int) -> Matrix:
-    """(3, 3) from places of pixels, 0 in the middle of the first, to units of a width."""
-    return np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, columns]]) / columns
-
-
-def _turned(first: Photo, second: Photo) -> Matrix | None:
-    """alignment() of a camera that was only turned, by the whole picture's best shift.
-
-    For smooth materials, of which the darker picture shows little but noise in most tiles.
-    """
-    columns = min(_SMOOTH, first.pixels.shape[1], second.pixels.shape[1])
-    fixed, moving = (_contrast(each, columns)[0] for each in (first, second))
-    rows = min(len(fixed), len(moving))
-    shifts, correlation = _shifts(fixed[None, :rows], moving[None, :rows])
-    if correlation[0] < _LEAST_WHOLE:
-        return None
-    across, down = shifts[0] / columns
-    lens = _lens(first.fov, rows / columns)
-    turn, _ = cv2.Rodrigues(np.array([-down, across, 0.0]) / lens[0, 0])
-    return np.asarray(lens @ turn @ np.linalg.inv(lens))
-
-
-def _refined(
-    fixed: Picture, moving: Picture, places: NDArray[np.int64], warp: Matrix
-) -> tuple[Matrix, int]:
-    """A homography (3, 3) of pixels fitted to shifts of tiles, and how many tiles agree on it."""
-    size, count = fixed.shape[::-1], 0
-    middles = (places + 0.5 * (_TILE - 1)).astype(np.float64)
-    for _ in range(_ROUNDS):
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        near = np.asarray(cv2.warpPerspective(moving, warp, size, flags=flags), np.float32)
-        cut = [np.stack([each[y : y + _TILE, x : x + _TILE] for x, y in places])
-               for each in (fixed, near)]  # fmt: skip
-        shifts, strength = _shifts(*cut)
-        usable = strength > _LEAST_CORRELATION
-        if usable.sum() < _LEAST_TILES:
-            return warp, 0
-        before, after = middles[usable], (middles + shifts)[usable]
-        change, kept = cv2.findHomography(before, after, cv2.RANSAC, _INLIER)
-        if change is None:
-            return warp, 0
-        warp, count = warp @ change, int(kept.sum())
-    return warp, count
-
-
-def _shifts(fixed: Picture, moving: Picture) -> tuple[Matrix, NDArray[np.float64]]:
-    """(n, 2) shifts (x, y) in pixels from pictures (n, h, w) to others, and their correlation.
-
-    The maximum of the circular cross-correlation under a Hann window, to a fraction of a pixel by
-    a parabola; smaller shifts are preferred, as patterns repeat.
-    """
-    count, height, width = fixed.shape
-    window = np.float32(np.hanning(height)[:, None] * np.hanning(width))
-    first, second = (np.fft.rfft2(each * window) for each in (fixed, moving))
-    correlation = np.fft.irfft2(np.conj(first) * second, (height, width))
-    power = np.sqrt(np.prod([np.square(each * window).sum((1, 2)) for each in (fixed, moving)], 0))
-    y, x = (np.fft.fftfreq(side) for side in (height, width))
-    nearer = np.exp(-0.5 * (np.square(y)[:, None] + np.square(x)) / _FARTHEST**2)
-    peak = (correlation * nearer).reshape(count, -1).argmax(1)
-    row, column, every = peak // width, peak % width, np.arange(count)
-    here = correlation[every, row, column]
-
-    def vertex(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-        bend = np.minimum(low + high - 2.0 * here, -1e-12)
-        return np.asarray(np.clip(0.5 * (low - high) / bend, -0.5, 0.5))
-
-    up, down = correlation[every, row - 1, column], correlation[every, (row + 1) % height, column]
-    left, right = correlation[every, row, column - 1], correlation[every, row, (column + 1) % width]
-    shifts = np.stack([x[column] * width + vertex(left, right), y[row] * height + vertex(up, down)])
-    return shifts.T, here / np.maximum(power, 1e-12)
-
-
-def _tiles(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(n, 2) upper left corners (x, y) of tiles most of which is usable."""
-    height, width = seen.shape
-    step = _TILE // 2
-    corners = [
-        (x, y)
-        for y in range(0, height - _TILE + 1, step)
-        for x in range(0, width - _TILE + 1, step)
-        if seen[y : y + _TILE, x : x + _TILE].mean() > 0.5
-    ]
-    return np.array(corners, np.int64).reshape(-1, 2)
-
-
-def way_of_camera(homography: Matrix, first: Photo, second: Photo) -> float:
-    """Way of the camera between two photographs, over the distance of the plane."""
-    lens, second_lens = (
-        _lens(photo.fov, photo.pixels.shape[0] / photo.pixels.shape[1]) for photo in (first, second)
-    )
-    values = np.linalg.svd(np.linalg.inv(second_lens) @ homography @ lens, compute_uv=False)
-    return float((values[0] - values[2]) / values[1])
-
-
-def _lens(fov: float, side: float) -> Matrix:
-    """(3, 3) calibration of a camera in units of its picture's width, `side` being its height."""
-    focal = _focal(fov)
-    return np.array([[focal, 0.0, 0.5], [0.0, focal, side / 2.0], [0.0, 0.0, 1.0]])
-
-
-def _focal(fov: float) -> float:
-    """Focal length in widths of the picture."""
-    return 0.5 / math.tan(math.radians(fov) / 2.0)
-
-
-def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
-    """(h, w) normalised contrast at so many pixels across, and where it is usable."""
-    rows = round(columns * photo.pixels.shape[0] / photo.pixels.shape[1])
-    size = (columns, rows)
-    grey = area_averaged(photo.pixels, size).mean(axis=2)
-    full = area_averaged(photo.clipped.astype(np.float32), size)
-    seen = cv2.erode((full < CLIPPED_SHARE).astype(np.uint8), np.ones((5, 5), np.uint8))
-    usable = (seen > 0) & (grey >= 1e-4)
-    contrast = np.where(usable, normalise_contrast(grey).astype(np.float32) - _LEVEL, 0.0)
-    return np.asarray(contrast, np.float32), usable
-
-
 def _resampled(photo: Photo, homography: Matrix, shape: tuple[int, ...], how: int) -> _Aligned:
     """A photograph on the pixels of another of shape (H, W), interpolated as OpenCV names it."""
     rows, columns = shape
-    warp = np.linalg.inv(_units(photo.pixels.shape[1])) @ homography @ _units(columns)
+    warp = np.linalg.inv(pixel_units(photo.pixels.shape[1])) @ homography @ pixel_units(columns)
 
     def seen(picture: Picture, how: int, border: int = cv2.BORDER_REPLICATE) -> Picture:
         flags = how | cv2.WARP_INVERSE_MAP

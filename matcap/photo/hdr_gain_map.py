@@ -50,6 +50,7 @@ _MULTICHANNEL, _BACKWARD, _COMMON_DENOMINATOR = 0x80, 0x04, 0x08
 _MAKER_HEADROOM, _MAKER_GAIN = 33, 48
 _MOST_STOPS = 16.0  # of a plausible gain
 _OFF = 1.5  # pixels of the map by which its shape may differ from the base's, by rounding
+_FINE, _SMOOTH = 64, 2.0  # parts of a code; pixels of the map, standard deviation of a blur
 _FULL_GAIN = 0.995  # share of the largest gain from which on the HDR picture is at its limit
 
 
@@ -57,10 +58,10 @@ _FULL_GAIN = 0.995  # share of the largest gain from which on the HDR picture is
 class HdrGainMap:
     """A gain map on its own grid, and its numbers."""
 
-    codes: NDArray[np.uint8]
-    """(h, w, 1 or 3) stored values."""
+    codes: NDArray[np.uint8] | NDArray[np.uint16]
+    """(h, w, 1 or 3) stored values; of a resized map _FINE times as large."""
     gains: NDArray[np.float32]
-    """(256, 1 or 3) factor by code and channel; not decreasing."""
+    """(256 or more, 1 or 3) factor by code and channel; not decreasing."""
     base_offset: NDArray[np.float32]
     """(1 or 3,) added to base light."""
     offset: NDArray[np.float32]
@@ -79,11 +80,24 @@ class HdrGainMap:
         return abs(rows - height * columns / width) <= _OFF * max(1.0, height / width)
 
     def resized(self, width: int, height: int) -> HdrGainMap:
-        """The map on the grid of the base picture, bilinearly."""
+        """The map on the grid of the base picture, bilinearly, in _FINE parts of a code.
+
+        A code is a percent of light and more, whose steps show on smooth material: where a blur
+        would be rounded to the stored code, it is the value that was rounded.
+        """
         import cv2
 
-        codes = cv2.resize(self.codes, (width, height), interpolation=cv2.INTER_LINEAR)
-        return replace(self, codes=np.asarray(codes, np.uint8).reshape(height, width, -1))
+        stored = self.codes.astype(np.float32)
+        smooth = cv2.GaussianBlur(stored, (0, 0), _SMOOTH).reshape(stored.shape)
+        codes = np.rint(_FINE * np.where(np.abs(smooth - stored) <= 0.5, smooth, stored))
+        codes = cv2.resize(codes.astype(np.uint16), (width, height), interpolation=cv2.INTER_LINEAR)
+        parts = np.arange(255 * _FINE + 1) / _FINE
+        gains = [np.interp(parts, np.arange(256), each) for each in self.gains.T]
+        return replace(
+            self,
+            codes=np.asarray(codes, np.uint16).reshape(height, width, -1),
+            gains=np.stack(gains, axis=1).astype(np.float32),
+        )
 
     def light(
         self, base: NDArray[np.float32], rows: slice
@@ -94,24 +108,22 @@ class HdrGainMap:
         """
         import cv2
 
-        codes = self.codes[rows]
-        gain: Any
-        if codes.shape[2] == 1:
-            gain = cv2.LUT(codes[..., 0], self.gains[:, 0])
-            gain = cv2.merge([gain, gain, gain])
-        else:
-            gain = cv2.LUT(codes, self.gains[None])
+        codes, last = self.codes[rows], self.gains.shape[1] - 1
+        gain = [
+            np.take(np.ascontiguousarray(self.gains[:, min(k, last)]), codes[..., k], mode="clip")
+            for k in range(codes.shape[2])
+        ]
         light = base + self.base_offset if self.base_offset.any() else base
-        light = light * gain
+        light = light * np.asarray(cv2.merge(gain * (3 // len(gain))), np.float32)
         if self.offset.any():
             light = np.maximum(light - self.offset, 0.0)
         full = np.asarray((codes >= self._full_code).any(axis=-1), np.bool_)
         return np.asarray(light, np.float32), full
 
     @cached_property
-    def _full_code(self) -> NDArray[np.uint8]:
+    def _full_code(self) -> NDArray[np.int64]:
         """(1 or 3,) least code at which the gain is the largest."""
-        return np.argmax(self.gains >= _FULL_GAIN * self.gains[-1], axis=0).astype(np.uint8)
+        return np.argmax(self.gains >= _FULL_GAIN * self.gains[-1], axis=0)
 
 
 _Numbers = tuple[NDArray[np.float64], ...]
@@ -216,7 +228,8 @@ def of_heic(path: Path, pixels: Pixels) -> HdrGainMap:
     # XMP of the auxiliary picture is stored as it is, and not handed out.
     headroom = apple_headroom(exif_ifd(pixels.info.get("exif") or b""), path.read_bytes())
     gain_map = apple(codes.reshape(*codes.shape[:2], -1), None, headroom)
-    turned = replace(gain_map, codes=np.ascontiguousarray(np.rot90(gain_map.codes)))
+    stored = np.rot90(codes.reshape(*codes.shape[:2], -1))
+    turned = replace(gain_map, codes=np.ascontiguousarray(stored[..., :1]))
     size = pixels.size
     return gain_map if gain_map.fits(*size) or not turned.fits(*size) else turned
 

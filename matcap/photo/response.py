@@ -7,8 +7,8 @@ Of a pixel with light x in the first and k x in the second, with k < 1 and the c
 whatever x is, and g(x) and g(k x) have the same rank among the values of their channel. The
 shoulder w is the one at which the left side is the same in all tones ([debevec1997], with two
 numbers in place of a table). The exponent c is then known if k is, by exposure metadata; else
-it is the prior's and gives k. Of a curve g in one picture and linear light in the other, c and w
-follow from the pair alone.
+it is the prior's and gives k. Of a curve g in one picture and linear light in the other, the pair
+alone gives c, and with the stated k also w and k.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ _FEWEST = 50  # pixels of a picture, and twice those left out at either end
 _AROUND = 10  # ranks to either side that are averaged
 _LEAST_TONES = 5
 _TONE_DEVIATION = 0.02  # log; systematic error of a tone
+# Prior standard deviation of log k about the stated ratio of a developed picture and a RAW, whose
+# white is a third of a stop or so above the picture's.
+_STATED_DEVIATION = 0.2
+_ROUNDS = 6  # of Gauss and Newton
 # Range of c; metadata that would need another is of no flash exposure and not used.
 _EXPONENTS = (0.85, 1.5)
 
@@ -136,7 +140,7 @@ def fit_ratio(
         log_k = float(np.median(steps))  # the brightest tones are means that clipping lowers
         return ExposureRatio(math.exp(log_k), None, _spread(steps - log_k))
     if first.linear or second.linear:
-        return _against_light(y, z, tones)
+        return _against_light(y, z, tones, stated)
     straight = min(first.prior.shoulder, second.prior.shoulder) == 0.0
     best: tuple[float, float, float] | None = None
     for w in [0.0] if straight else _SHOULDERS:
@@ -157,29 +161,50 @@ def fit_ratio(
     return ExposureRatio(math.exp(mean / exponent), curve, spread / exponent)
 
 
-def _against_light(y: Values, z: Values, tones: tuple[Tones, Tones]) -> ExposureRatio | None:
-    """The ratio of a picture with a curve and one without, by regression for each shoulder."""
+def _against_light(
+    y: Values, z: Values, tones: tuple[Tones, Tones], stated: float | None
+) -> ExposureRatio | None:
+    """The ratio of a picture with a curve and one without, by regression for each shoulder.
+
+    Of a darker picture with a curve the tones leave w and k open together: the stated k decides.
+    """
     curved_first = not tones[0].linear
-    coded, light = (y, z) if curved_first else (z, y)
+    coded, light = (y, np.log(z)) if curved_first else (z, np.log(y))
     prior = tones[0].prior if curved_first else tones[1].prior
-    shoulders = [0.0] if prior.shoulder == 0.0 else _SHOULDERS
+    sign = -1.0 if curved_first else 1.0  # of log k in the log of the coded picture's light
+    known = None if stated is None or not 0.0 < stated < 1.0 else sign * math.log(stated)
     best: tuple[float, float, float, float] | None = None
-    terms = np.stack([np.log(light), np.ones_like(light)], axis=1)
-    for w in shoulders:
+    for w in [0.0] if prior.shoulder == 0.0 else _SHOULDERS:
         power = _power(coded, w)
-        slope, offset = np.linalg.lstsq(terms, power, rcond=None)[0]
-        spread = _spread(power - slope * np.log(light) - offset)
-        cost = spread**2 + (_TONE_DEVIATION * (w - prior.shoulder) / _SHOULDER_DEVIATION) ** 2
+        slope, more = _line(light, power, known)
+        cost = _spread(power - slope * (light + more)) ** 2
+        cost += (_TONE_DEVIATION * (w - prior.shoulder) / _SHOULDER_DEVIATION) ** 2
+        if known is not None:
+            cost += (_TONE_DEVIATION * (more - known) / _STATED_DEVIATION) ** 2
         if slope > 0.0 and (best is None or cost < best[0]):
-            best = cost, float(w), float(slope), float(offset)
+            best = cost, float(w), slope, more
     if best is None or not 0.5 < best[2] < 2.5:
         return None
-    cost, shoulder, exponent, offset = best
-    # log u = c (log light + log of the coded picture's light over it).
-    log_more = offset / exponent
-    curve = ToneCurve(exponent, shoulder)
-    log_k = -log_more if curved_first else log_more
-    return ExposureRatio(math.exp(log_k), curve, math.sqrt(cost) / exponent)
+    _, shoulder, exponent, more = best
+    spread = _spread(_power(coded, shoulder) - exponent * (light + more))
+    return ExposureRatio(math.exp(sign * more), ToneCurve(exponent, shoulder), spread / exponent)
+
+
+def _line(x: Values, y: Values, known: float | None) -> tuple[float, float]:
+    """(c, b) of y = c (x + b) by least squares, b having the prior of a stated ratio of exposures.
+
+    Gauss and Newton: the prior is of b, not of the intercept.
+    """
+    terms = np.stack([x, np.ones_like(x)], axis=1)
+    c, intercept = np.linalg.lstsq(terms, y, rcond=None)[0]
+    b = intercept / c if c > 0.0 else 0.0
+    weight = math.sqrt(len(x)) * _TONE_DEVIATION / _STATED_DEVIATION
+    for _ in range(_ROUNDS if known is not None and c > 0.0 else 0):
+        terms = np.vstack([np.stack([x + b, np.full_like(x, c)], axis=1), [0.0, weight]])
+        off = np.append(y - c * (x + b), weight * ((known or 0.0) - b))
+        step = np.linalg.lstsq(terms, off, rcond=None)[0]
+        c, b = c + step[0], b + step[1]
+    return float(c), float(b)
 
 
 def _power(y: Values, shoulder: float) -> Values:

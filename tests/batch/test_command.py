@@ -7,7 +7,6 @@ import pytest
 from kills import make_shoot
 from rich.console import Console
 
-from matcap.batch import work as memory
 from matcap.batch.run import prepare
 from matcap.batch.samples import BatchSettings, ShotSample
 from matcap.batch.work import (
@@ -38,8 +37,7 @@ def test_a_dry_run_writes_nothing_and_forecasts_no_time(shoot, tmp_path, capsys)
     values = json.loads(capsys.readouterr().out)
     assert (values["todo"], values["seconds"]) == (1, None)
     assert [row["status"] for row in values["materials"]] == ["to do"]
-    assert values["materials"][0]["superseded"][0].endswith("leather.jpg")
-    assert not out.exists()
+    assert values["materials"][0]["superseded"][0].endswith("leather.jpg") and not out.exists()
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
     text = capsys.readouterr().out
     assert "leather: to do" in text and "time unknown" in text and "GB of memory" in text
@@ -75,8 +73,7 @@ def test_wrong_settings_are_reported_before_any_work(
 ):
     arguments = [str(shoot) if a == "SHOOT" else a for a in arguments]
     assert main(["batch", *arguments, "-o", str(tmp_path / "out")]) == code
-    assert word in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    assert word in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_fewer_workers_where_memory_or_work_is_short(monkeypatch):
@@ -86,7 +83,7 @@ def test_fewer_workers_where_memory_or_work_is_short(monkeypatch):
         (2_500, 4, 10, 2),
         (10, 4, 10, 1),
     ):
-        monkeypatch.setattr(memory, "free_bytes", lambda free=free: free)
+        monkeypatch.setattr("matcap.batch.work.free_bytes", lambda free=free: free)
         assert pool_size(wanted, 1_000, jobs) == size
     assert pool_size(None, 1, 1_000) >= 1
 
@@ -132,8 +129,7 @@ def test_a_calibration_card_is_no_sample_and_part_of_the_identity(shoot, tmp_pat
     (shoot / "Card 1.dng").write_bytes(b"x")
     (shoot / "Card 1.jpg").write_bytes(b"x")
     card = prepare(shoot, tmp_path / "out", BatchSettings(), Policy(), shown)
-    assert seen == ["Card 1.dng"]
-    assert [entry.sample.name for entry in card.entries] == ["leather"]
+    assert seen == ["Card 1.dng"] and [entry.sample.name for entry in card.entries] == ["leather"]
     assert card.entries[0].identity != without.entries[0].identity
     none = prepare(shoot, tmp_path / "out", BatchSettings(card="none"), Policy(), shown)
     assert len(none.entries) == 2

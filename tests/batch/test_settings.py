@@ -4,7 +4,6 @@ import os
 
 import pytest
 
-from matcap.batch import samples as identities
 from matcap.batch.run import group_sentences
 from matcap.batch.samples import (
     WORKSPACE,
@@ -34,8 +33,7 @@ def test_flags_override_the_file_and_the_file_defaults(tmp_path):
 def test_settings_by_name_and_back():
     named = BatchSettings().named() | CHANGES | {"jobs": 2}
     settings = BatchSettings.of(named)
-    assert settings.named() == named
-    assert settings.capture.seed == settings.outputs.seed == 3
+    assert settings.named() == named and settings.capture.seed == settings.outputs.seed == 3
     assert settings.capture.time_limit == 5.0 and settings.outputs.targets == ("gltf",)
 
 
@@ -122,7 +120,7 @@ def test_photograph_prior_card_and_version_change_the_identity(tmp_path, monkeyp
     photo.rename(tmp_path / "b.jpg")
     assert identity([tmp_path / "b.jpg"], base, prior="p") == first
     with monkeypatch.context() as patch:
-        patch.setattr(identities, "MAKER_VERSION", "0")
+        patch.setattr("matcap.batch.samples.MAKER_VERSION", "0")
         assert identity([tmp_path / "b.jpg"], base, prior="p") != first
     (tmp_path / "b.jpg").write_bytes(b"other light")
     assert identity([tmp_path / "b.jpg"], base, prior="p") != first
@@ -141,21 +139,17 @@ def names(samples):
     return [sample.name for sample in samples]
 
 
-def test_jpegs_of_browsers_are_photographs(tmp_path):
-    touch(tmp_path, "a.jfif", "b.jpe", "c.jpg", "d.dng", "d.jfif")
-    found = find_samples(tmp_path)
-    assert [one.name for one in found] == ["a", "b", "c", "d"]
-    assert found[3].superseded == (tmp_path / "d.jfif",)
-
-
 def test_a_raw_and_its_jpeg_are_one_photograph(tmp_path):
-    touch(tmp_path, "a.DNG", "A.jpg", "b.jpg", "sub/a.jpg", "notes.txt", "c.heic", "c.nef")
+    """JPEGs of browsers, WebP and AVIF are photographs, too."""
+    touch(tmp_path, "a.DNG", "A.jpg", "b.jpe", "sub/a.jpg", "notes.txt", "c.heic", "c.nef")
+    touch(tmp_path, "d.dng", "d.jfif", "e.webp", "f.avif", "g.AVIF", "g.dng", "h.jfif")
     found = find_samples(tmp_path)
-    assert names(found) == ["a", "b", "c", "sub-a"]
-    assert found[0].photos == (tmp_path / "a.DNG",)
-    assert found[0].superseded == (tmp_path / "A.jpg",)
-    assert found[2].photos == (tmp_path / "c.nef",)
-    assert found[3].superseded == ()
+    assert names(found) == [*"abcdefgh", "sub-a"]
+    raws = {0: ("a.DNG", "A.jpg"), 2: ("c.nef", "c.heic"), 3: ("d.dng", "d.jfif")}
+    for number, (raw, developed) in raws.items():
+        assert found[number].photos == (tmp_path / raw,)
+        assert found[number].superseded == (tmp_path / developed,)
+    assert found[8].superseded == ()
 
 
 @pytest.mark.parametrize(
@@ -185,11 +179,6 @@ def test_a_pixel_s_raw_and_its_cover_are_one_photograph(tmp_path, raw, developed
 def test_folders_of_thumbnails_and_waste_are_passed_over(tmp_path, folder):
     touch(tmp_path, "a.jpg", f"{folder}/SYNOPHOTO_THUMB_XL.jpg", f"sub/{folder}/b.jpg", "sub/c.jpg")
     assert names(find_samples(tmp_path)) == ["a", "sub-c"]
-
-
-def test_webp_and_avif_are_photographs(tmp_path):
-    touch(tmp_path, "a.webp", "b.avif", "c.AVIF", "c.dng")
-    assert names(find_samples(tmp_path)) == ["a", "b", "c"]
 
 
 def test_a_developed_picture_is_a_photograph_of_its_own(tmp_path):
@@ -244,39 +233,14 @@ def test_grouped_by_name(tmp_path):
     assert all(len(group) == 1 for group in groups if not group[0].startswith("elm"))
     (tmp_path / "oak_10.dng").unlink()
     groups = [[p.name for p in s.photos] for s in find_samples(tmp_path, group="name")]
-    assert ["oak_1.jpg", "oak_2.jpg"] in groups
-    assert len(groups) == 7
+    assert ["oak_1.jpg", "oak_2.jpg"] in groups and len(groups) == 7
 
 
 def test_groups_of_photographs_are_announced(tmp_path):
     touch(tmp_path, "oak_1.jpg", "oak_2.jpg", "elm.jpg")
     said = group_sentences(find_samples(tmp_path, group="name"))
     assert said[0] == "oak_1: 2 photographs of one sample (oak_1.jpg, oak_2.jpg)."
-    assert "--group none" in said[-1]
-    assert group_sentences(find_samples(tmp_path)) == []
-
-
-def test_grouped_by_time(tmp_path, monkeypatch):
-    touch(tmp_path, *(f"{letter}.jpg" for letter in "abcdef"))
-    seconds = {"a": 100.0, "b": 104.0, "c": 300.0, "d": 95.0, "e": None, "f": None}
-    monkeypatch.setattr(identities, "taken_at", lambda path: seconds[path.stem])
-    found = find_samples(tmp_path, group="time", gap=5.0)
-    groups = [[photo.stem for photo in sample.photos] for sample in found]
-    assert groups == [["c"], ["d", "a", "b"], ["e"], ["f"]]
-
-
-def test_the_time_is_read_from_exif(tmp_path):
-    from PIL import Image
-
-    exif = Image.Exif()
-    exif.get_ifd(34665)[36867] = "2024:05:06 07:08:09"
-    for name, tags in (("a.jpg", exif), ("b.jpg", Image.Exif())):
-        Image.new("RGB", (8, 8)).save(tmp_path / name, exif=tags)
-    exif.get_ifd(34665)[36867] = "2024:05:06 07:08:12"
-    Image.new("RGB", (8, 8)).save(tmp_path / "c.jpg", exif=exif)
-    first, later = taken_at(tmp_path / "a.jpg"), taken_at(tmp_path / "c.jpg")
-    assert later - first == 3.0
-    assert taken_at(tmp_path / "b.jpg") is None
+    assert "--group none" in said[-1] and group_sentences(find_samples(tmp_path)) == []
 
 
 def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
@@ -286,13 +250,13 @@ def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
     for name, second in (("c", 1), ("a", 6), ("b", 50), ("d", 13)):
         exif.get_ifd(34665)[36867] = f"2024:05:06 07:08:{second:02}"
         Image.new("RGB", (8, 8)).save(tmp_path / f"{name}.jpg", exif=exif)
-    Image.new("RGB", (8, 8)).save(tmp_path / "e.png")
+    for name in ("e.png", "f.jpg"):
+        Image.new("RGB", (8, 8)).save(tmp_path / name)
+    assert taken_at(tmp_path / "a.jpg") - taken_at(tmp_path / "c.jpg") == 5.0
+    assert taken_at(tmp_path / "f.jpg") is None
     found = find_samples(tmp_path, group="time", gap=8.0)
-    assert [[p.name for p in s.photos] for s in found] == [
-        ["b.jpg"],
-        ["c.jpg", "a.jpg", "d.jpg"],
-        ["e.png"],
-    ]
+    groups = [[photo.name for photo in sample.photos] for sample in found]
+    assert groups == [["b.jpg"], ["c.jpg", "a.jpg", "d.jpg"], ["e.png"], ["f.jpg"]]
     said = group_sentences(found)
     assert said[0] == "c: 3 photographs of one sample (c.jpg, a.jpg, d.jpg)."
     # What a file does not say is not the user's to read.
@@ -317,7 +281,7 @@ def test_exposures_of_one_place_are_one_sample(tmp_path, monkeypatch, group):
         asked.append([path.name for path in paths])
         return [tuple(paths[:2]), tuple(paths[2:])]
 
-    monkeypatch.setattr(identities, "taken_at", lambda path: seconds.get(path.name))
+    monkeypatch.setattr("matcap.batch.samples.taken_at", lambda path: seconds.get(path.name))
     monkeypatch.setattr("matcap.capture.bracket.find_brackets", brackets)
     found = find_samples(tmp_path, group=group)
     photos = [[path.name for path in sample.photos] for sample in found]

@@ -177,11 +177,6 @@ def test_the_page_fetches_nothing_and_escapes_everything(tmp_path):
     assert "http://" not in page and "https://" not in page and "@ROWS@" not in page
 
 
-def test_notes_of_reading_are_shown(tmp_path):
-    written(tmp_path)
-    assert "<li>The file states no white balance: daylight" in (tmp_path / "index.html").read_text()
-
-
 def test_the_table_holds_every_material(tmp_path):
     written(tmp_path)
     rows = json.loads((tmp_path / "index.json").read_text())["materials"]
@@ -198,6 +193,7 @@ def test_doubtful_shots_are_marked(tmp_path):
     page = (written(tmp_path) / "index.html").read_text()
     assert page.count('<tr class="doubtful">') == 1 and page.count('<tr class="done">') == 1
     assert 'data-key="7.5"' in page and "Lower the exposure" in page
+    assert "<li>The file states no white balance: daylight" in page  # a note of reading
 
 
 def test_a_material_that_failed_in_the_verdict_is_red(tmp_path):

@@ -92,9 +92,7 @@ def test_primaries_of_another_program_are_converted(written):
     file.write_bytes(stored.replace(rec709, p3))
     with pytest.warns(Note, match="primaries"):
         found = read_mapset(folder)[0]
-    to_rec709 = np.array(
-        [[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]
-    )
+    to_rec709 = [[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]
     converted = np.tensordot(to_rec709, expected.diffuse.numpy(), 1)
     np.testing.assert_allclose(found.diffuse, np.maximum(converted, 0.0), atol=2e-3)
     file.write_bytes(stored.replace(rec709, struct.pack("<8f", *[0.3] * 8)))
@@ -118,6 +116,13 @@ def painted(normals):
     return normals
 
 
+def moss(folder, maps, change):
+    """A map set whose normals are changed."""
+    write_mapset(maps, folder, MapSetInfo("moss"))
+    file = folder / "moss_normal.exr"
+    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -128,9 +133,7 @@ def painted(normals):
     ],
 )
 def test_an_edited_normal_is_noted(tmp_path, maps, change, said):
-    write_mapset(maps, tmp_path, MapSetInfo("moss"))
-    file = tmp_path / "moss_normal.exr"
-    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
+    moss(tmp_path, maps, change)
     with pytest.warns(Note, match=f"moss_normal.exr: {said}.*it is not read"):
         read_mapset(tmp_path)
 
@@ -168,9 +171,8 @@ def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
     write_mapset(maps, tmp_path, MapSetInfo("moss"))
     found, _ = read_mapset(tmp_path, normals="file")
     steeper = adjusted(found, Adjustments(relief=2.0)).normal
-    assert torch.allclose(
-        steeper[:2] / steeper[2:], 2.0 * found.normal[:2] / found.normal[2:], atol=1e-5
-    )
+    slopes, doubled = (normal[:2] / normal[2:] for normal in (found.normal, steeper))
+    assert torch.allclose(doubled, 2.0 * slopes, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -183,9 +185,7 @@ def test_relief_that_is_adjusted_takes_the_painting_along(tmp_path, maps):
     ],
 )
 def test_invalid_normals_are_refused_on_request(tmp_path, maps, change, said):
-    write_mapset(maps, tmp_path, MapSetInfo("moss"))
-    file = tmp_path / "moss_normal.exr"
-    write_exr(file, change(read_exr(file).pixels).astype(np.float32), half=False)
+    moss(tmp_path, maps, change)
     with pytest.raises(MatcapError, match=f"moss_normal.exr.*{said}"):
         read_mapset(tmp_path, normals="file")
 

@@ -47,8 +47,7 @@ def test_a_map_set_has_its_documented_files(tmp_path, maps):
         stored = pixels(tmp_path / "set" / f"leather_{kind}.exr")
         expected = getattr(maps, kind).movedim(0, -1).squeeze(-1).numpy()
         if kind == "height":
-            assert stored.dtype == np.float32
-            assert np.array_equal(stored, expected)
+            assert stored.dtype == np.float32 and np.array_equal(stored, expected)
         else:
             assert stored.dtype == np.float16
             assert np.array_equal(stored, expected.astype(np.float16))
@@ -58,8 +57,7 @@ def test_the_document_states_units_and_ranges(tmp_path, maps):
     document = json.loads(write_mapset(maps, tmp_path, INFO).read_text())
     assert (document["width"], document["height"]) == (31, 20)
     assert (document["x"], document["y"], document["seed"]) == (-5, 2**33, 7)
-    assert document["texel_size"] == maps.texel_size
-    assert document["height_scale"] == 1.0
+    assert document["texel_size"] == maps.texel_size and document["height_scale"] == 1.0
     assert document["provenance"] == {"photo": "leather.dng"}
     assert document["conventions"]["normal"] == "+Y up (OpenGL)"
 
@@ -205,8 +203,7 @@ def test_a_really_full_disk(tiny_disk, maps, png):
 def test_names_that_would_leave_the_folder_are_refused(tmp_path, maps, name):
     with pytest.raises(MatcapError, match="plain file name") as caught:
         write_mapset(maps, tmp_path / "set", MapSetInfo(name))
-    assert caught.value.exit_code == ExitCode.USAGE
-    assert list(tmp_path.iterdir()) == []
+    assert caught.value.exit_code == ExitCode.USAGE and list(tmp_path.iterdir()) == []
 
 
 def test_batches_are_refused(tmp_path, maps):

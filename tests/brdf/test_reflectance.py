@@ -85,8 +85,7 @@ def test_the_single_precision_lobe_is_the_lobe(roughness, apart):
     directions = UP, direction(0.4 + apart), direction(0.4, math.pi)
     exact = specular_lobe(*gloss, Angles.exact(*directions))
     single = specular_lobe(*(g.float() for g in gloss), quick(*(d.float() for d in directions)))
-    assert single.dtype == torch.float32
-    assert torch.allclose(single.double(), exact, rtol=0.01)
+    assert single.dtype == torch.float32 and torch.allclose(single.double(), exact, rtol=0.01)
 
 
 def test_the_single_precision_lobe_keeps_gradients_below_the_horizon():
@@ -125,9 +124,7 @@ def test_projection_is_undone_and_tilts_turn_as_documented():
     setup = FlashSetup(tilt=(0.1, -0.2))
     points = plane_points(0, 0, 20, 15, (20, 15), dtype=torch.float64)
     assert torch.allclose(unproject(project(points, setup), setup), points, atol=1e-12)
-    top, left = (
-        torch.tensor(p, dtype=torch.float64)[:, None, None] for p in ([0, 0.5, 0], [-0.5, 0, 0])
-    )
+    top, left = torch.tensor([[0, 0.5, 0], [-0.5, 0, 0]]).double()[..., None, None]
     # Nearer to the camera means further from the picture's middle, by more than the turn shrinks.
     assert project(top, FlashSetup(tilt=(0.1, 0.0)))[1] > 0.5
     assert project(left, FlashSetup(tilt=(0.0, 0.1)))[0] < -0.5
@@ -200,11 +197,9 @@ def test_stacking_keeps_every_map_in_its_place(channels):
     stacked = maps.stacked()
     places = {"diffuse": DIFFUSE, "specular": SPECULAR, "roughness": ROUGHNESS, "height": HEIGHT}
     assert all(torch.equal(stacked[place], getattr(maps, n)) for n, place in places.items())
-    back = SurfaceParameters.from_stacked(SurfaceParameters.of(maps).stacked()).maps(
-        maps.texel_size
-    )
-    assert len(back.specular) == channels
-    assert torch.allclose(back.stacked(), stacked, atol=1e-5)
+    again = SurfaceParameters.from_stacked(SurfaceParameters.of(maps).stacked())
+    back = again.maps(maps.texel_size)
+    assert len(back.specular) == channels and torch.allclose(back.stacked(), stacked, atol=1e-5)
 
 
 def test_two_channels_are_no_colour():
@@ -302,6 +297,5 @@ def test_painted_normals_of_a_metal_are_adjusted_too():
     painted = replace(maps, painted=maps.normal)
     found = adjusted(painted, Adjustments(relief=0.5))
     assert len(found.specular) == 3
-    torch.testing.assert_close(
-        found.painted, adjusted(maps, Adjustments(relief=0.5)).normal, atol=1e-6, rtol=0.0
-    )
+    wanted = adjusted(maps, Adjustments(relief=0.5)).normal
+    torch.testing.assert_close(found.painted, wanted, atol=1e-6, rtol=0.0)

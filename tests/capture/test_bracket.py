@@ -17,14 +17,13 @@ from simulated.files import mosaic, write_dng
 from matcap.capture import bracket
 from matcap.capture.bracket import (
     aligned_bracket,
-    alignment,
     find_brackets,
     fine_bracket,
     merge_bracket,
     unmerged,
-    way_of_camera,
 )
 from matcap.capture.pipeline import read_exposures
+from matcap.capture.registration.one_place import alignment, way_of_camera, way_of_highlight
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
@@ -196,6 +195,58 @@ def test_the_core_of_a_highlight_stands_in_its_flanks():
     brightest = np.maximum(merged - 2.0, 0.0)
     centre = (brightest * x).sum() / brightest.sum() - WIDTH / 2
     assert abs(centre) < 0.5 * far
+
+
+@pytest.mark.parametrize("way", [(8.0, 0.0), (-3.0, 5.0)])
+def test_a_lobe_on_flat_material_is_moved_back_and_its_texture_stays(way):
+    """Taken where the darker one shows it, it stood beside its flanks, which are the longer's."""
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    texture = scene(peak=0.0)
+
+    def lit(across: float, down: float):
+        squared = np.square(x - WIDTH / 2 - across) + np.square(y - HEIGHT / 2 - down)
+        lobe = 40.0 / np.square(1.0 + squared / 150.0)
+        return (texture * (0.5 + lobe[..., None])).astype(np.float32)
+
+    bracket = aligned_bracket([taken(lit(0, 0)), taken(lit(*way), 1 / 16, seed=2)])
+    assert bracket is not None
+    rows = slice(HEIGHT // 2 - 40, HEIGHT // 2 + 40), slice(WIDTH // 2 - 40, WIDTH // 2 + 40)
+    off = []
+    for highlight in ((0.0, 0.0), way):
+        views = bracket.views[0], replace(bracket.views[1], highlight=highlight)
+        merged = replace(bracket, views=views).merged()
+        ratio = np.log(merged.pixels.mean(axis=2) / lit(0, 0).mean(axis=2))
+        off.append(ratio[rows][~merged.clipped[rows]].std())
+    assert off[1] < 0.4 * off[0] and off[1] < 0.12
+
+
+def test_the_way_of_a_highlight_is_that_of_the_camera():
+    """A camera that goes round the sample, and one that turns on its place."""
+    photo, focal = taken(scene()), 0.5 / math.tan(math.radians(FOV) / 2)
+    lens = np.array([[focal, 0, 0.5], [0, focal, HEIGHT / WIDTH / 2], [0, 0, 1.0]])
+    turn, _ = cv2.Rodrigues(np.radians([0.7, -1.5, 0.3]))
+    place = np.array([0.012, -0.02, 0.001])
+    for moved_by in (place, np.zeros(3)):
+        motion = turn - np.outer(turn @ moved_by, [0.0, 0.0, 1.0])
+        found = way_of_highlight(lens @ (3.0 * motion) @ np.linalg.inv(lens), photo, photo)
+        assert found == pytest.approx(focal * moved_by[:2], abs=1e-3)
+
+
+@pytest.mark.parametrize("columns", [320, 256, 192])
+def test_small_pictures_are_aligned_too(columns):
+    """Tiles of 128 pixels were fewer than the ten that must agree."""
+    light, size = scene(), (columns, columns * HEIGHT // WIDTH)
+    other, warp = moved(light)
+    photos = []
+    for k, each in enumerate((light, other)):
+        photo = taken(each, 1 / 16**k, seed=k + 1)
+        pixels = cv2.resize(photo.pixels, size, interpolation=cv2.INTER_AREA)
+        photos.append(replace(photo, pixels=pixels, clipped=(pixels > 0.95).any(axis=2)))
+    found = alignment(*photos)
+    corners = np.array([[0.1, 0.9, 0.1, 0.9], [0.1, 0.1, 0.65, 0.65], [1, 1, 1, 1.0]])
+    off = [(each @ corners)[:2] / (each @ corners)[2] for each in (found, warp)]
+    assert np.abs(off[0] - off[1]).max() * columns < 0.5
+    assert aligned_bracket(photos) is not None
 
 
 def test_glints_that_moved_keep_their_light():

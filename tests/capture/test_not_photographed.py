@@ -39,8 +39,7 @@ def test_a_field_shows_photographed_texels_alone(exemplar, kept, turned, variety
     whole, example = indexed(exemplar, (), turned=turned, kept=kept)
     assert whole.size == ((HEIGHT, WIDTH) if turned else (WIDTH, HEIGHT))
     maps = example.varied(variety).maps(3, Rectangle(0, 0, 300, 300), None)
-    assert maps[:3].max() < 0.5
-    assert example.exemplar.size == whole.size
+    assert maps[:3].max() < 0.5 and example.exemplar.size == whole.size
     assert np.prod(example.index.part.size) > 0.75 * kept.sum()
     assert example.repeating().diffuse.max() < 0.5
     tensors, about = example.stored()

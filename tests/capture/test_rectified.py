@@ -17,7 +17,6 @@ from matcap.api import relight
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture import preview, rectified
-from matcap.capture import rectified as tilt
 from matcap.capture.inspection import inspect_file
 from matcap.capture.pipeline import capture_file, capture_into
 from matcap.capture.rectified import (
@@ -72,9 +71,7 @@ def test_the_share_grows_with_the_size_and_neither_with_contrast_nor_exposure():
 
 def test_the_flash_alone_is_not_a_coarse_texture():
     """Shading and highlight are far wider than what is counted."""
-    x, y = torch.meshgrid(
-        torch.linspace(-1, 1, DETAIL), torch.linspace(-0.75, 0.75, HEIGHT), indexing="xy"
-    )
+    x, y = torch.linspace(-1, 1, DETAIL), torch.linspace(-0.75, 0.75, HEIGHT)[:, None]
     squared = x.square() + y.square()
     lit = noise(2) * (1.2**2 / (1.2**2 + squared)) ** 2 + 0.3 * torch.exp(-squared / 0.08)
     assert network_input(plane_of(lit, SEEN)).size[0] == DETAIL
@@ -101,9 +98,8 @@ def test_unseen_texels_do_not_count():
 def test_panels_are_area_averages(monkeypatch):
     torch.manual_seed(0)
     one = torch.ones(1, 320, 640)
-    bumps = torch.nn.functional.interpolate(
-        torch.rand(1, 1, 40, 80), size=(320, 640), mode="bicubic"
-    )
+    rough = torch.rand(1, 1, 40, 80)
+    bumps = torch.nn.functional.interpolate(rough, size=(320, 640), mode="bicubic")
     maps = MapSet(one.expand(3, -1, -1) * 0.3, 0.04 * one, 0.5 * one, 0.01 * bumps[0], 2 / 640)
     panels = []
     for texels in (160, 640):
@@ -127,13 +123,6 @@ TILTED = tuple(
 SAID = TiltPrior((math.radians(9.0), math.radians(-6.0)), (1e-4, 1e-4))
 
 
-def tilted_photo(name, tilt):
-    """A material, its camera tilted by radians."""
-    phone = PhoneCamera(width=320, height=240, supersampling=1)
-    setup = FlashSetup(offset=(0.03, 0.12, 0.0), tilt=tilt)
-    return as_photo(take(piece(name), phone, setup), 1, name)
-
-
 @pytest.fixture
 def asked(monkeypatch):
     """A branch that is certain of 9 and -6 degrees, and the photographs it was asked of."""
@@ -143,7 +132,7 @@ def asked(monkeypatch):
         names.append(photo.name)
         return SAID
 
-    monkeypatch.setattr(tilt, "tilt_measurement", measure)
+    monkeypatch.setattr("matcap.capture.rectified.tilt_measurement", measure)
     return names
 
 
@@ -166,8 +155,7 @@ def test_a_capture_uses_the_tilt_of_the_alignment_branch(tmp_path, photos, asked
     assert asked == [photos[0].name]
     camera = json.loads((tmp_path / "out" / "report.json").read_text())["camera"]
     values = camera["tilt_sources"]
-    assert values["branch"] == [9.0, -6.0]
-    assert values["used"] == pytest.approx([9.0, -6.0], abs=0.3)
+    assert values["branch"] == [9.0, -6.0] and values["used"] == pytest.approx([9.0, -6.0], abs=0.3)
     assert camera["tilt_degrees"] == pytest.approx(values["used"], abs=0.01)
 
 
@@ -182,9 +170,11 @@ def test_inspect_uses_the_alignment_branch(photos, asked):
 @pytest.fixture(scope="module")
 def fitted():
     """True tilts, and fits without and with the branch, of RAW photographs of a known flash."""
-    found = []
+    found, phone = [], PhoneCamera(width=320, height=240, supersampling=1)
     for name, truth in TILTED:
-        photo = replace(tilted_photo(name, truth), flash_intensity=3.0)
+        setup = FlashSetup(offset=(0.03, 0.12, 0.0), tilt=truth)
+        photo = as_photo(take(piece(name), phone, setup), 1, name)
+        photo = replace(photo, flash_intensity=3.0)
         found.append((truth, fit_coarse(photo), fit_photograph(photo)))
     return found
 
@@ -245,23 +235,20 @@ def captures(photographs, one_coarse_fit):
 @pytest.mark.usefixtures("one_coarse_fit")
 def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_path):
     """Across blocks of the grid, where it repeats too, and read from its file."""
-    settings = CaptureSettings(
-        generator="decoder", preset="draft", detail=128, steps=1, aligned=True
-    )
+    one_step = {"generator": "decoder", "steps": 1}
+    settings = CaptureSettings(preset="draft", detail=128, aligned=True, **one_step)
     done = {name: capture_file(path, settings) for name, path in photographs.items()}
     lying, standing = done["lying"], done["standing"]
     assert standing.maps.size == (96, 128) == standing.rectified.shape[1::-1]
     assert torch.equal(standing.material.maps(96, 128).stacked(), standing.maps.stacked())
     assert "matching" not in standing.stage_seconds  # as it is a draft
-    np.testing.assert_array_equal(
-        standing.estimate.exemplar.diffuse, np.rot90(lying.estimate.exemplar.diffuse, -1, (1, 2))
-    )
+    stood, lain = (one.estimate.exemplar.diffuse for one in (standing, lying))
+    np.testing.assert_array_equal(stood, np.rot90(lain, -1, (1, 2)))
     standing.material.save(tmp_path / "standing.matcap")
     read = Material.load(tmp_path / "standing.matcap")
     for material, period in ((standing.material, None), (read, (128, 96))):
-        turned = lying.material.maps(
-            80, 60, seed=5, x=-30, y=-17 - 60, period=period and period[::-1]
-        ).turned(-1)
+        place = {"x": -30, "y": -17 - 60, "period": period and period[::-1]}
+        turned = lying.material.maps(80, 60, seed=5, **place).turned(-1)
         maps = material.maps(60, 80, seed=5, x=17, y=-30, period=period)
         assert torch.equal(maps.stacked(), turned.stacked())
 
@@ -287,8 +274,7 @@ def test_field_preview_and_maps_of_a_portrait_are_upright(captures):
     whole = standing.material.maps(128, 128, seed=3).diffuse.mean(0).numpy()
     # The border has texels that the tilted photograph does not show, which are black.
     seen = standing.rectified.mean(-1)[12:-12, 12:-12]
-    assert seen.min() > 0.0
-    assert slant(whole) == pytest.approx(slant(seen), abs=0.2)
+    assert seen.min() > 0.0 and slant(whole) == pytest.approx(slant(seen), abs=0.2)
     assert slant(standing.rerendered.mean(-1)) == pytest.approx(slant(whole), abs=0.2)
     lain = captures["lying"].material.maps(128, 128, seed=3).diffuse.mean(0).numpy()
     assert abs(slant(lain) - slant(whole)) > 1.0
@@ -310,8 +296,7 @@ def written(captures, tmp_path_factory):
 @pytest.mark.capture
 def test_written_files_of_a_portrait_are_upright(captures, written):
     piece, document = read_mapset(written / "standing_photo.json")
-    assert piece.size == (96, 128)
-    assert document["provenance"]["setup"]["turned"] is True
+    assert piece.size == (96, 128) and document["provenance"]["setup"]["turned"] is True
     assert Material.load(written / "standing.matcap").setup.turned
     sheet = np.asarray(Image.open(written / "preview.png"))
     assert sheet.shape[0] > 1000

@@ -49,15 +49,12 @@ def out(tmp_path):
 
 def test_all_outputs_stand_in_a_folder_of_the_photographs_name(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", "40x30", "--seed", 5)
-    assert said.code == 0
-    assert said.out == ""
-    assert str(out / "leather") in said.err
+    assert said.code == 0 and said.out == "" and str(out / "leather") in said.err
     exrs = {name for name in mapset_files("leather") if not name.endswith(".png")}
     names = {f.name for f in (out / "leather").iterdir()}
     assert names == exrs | {"leather.matcap", "preview.png", "report.json"}
     maps, document = read_mapset(out / "leather")
-    assert maps.size == (40, 30)
-    assert document["seed"] == 5
+    assert maps.size == (40, 30) and document["seed"] == 5
     assert document["provenance"] == {"made": "up"}
 
 
@@ -129,8 +126,7 @@ def test_the_detail_is_what_fits_into_the_time(seconds, photographs, slower, det
 def test_a_slow_machine_needs_more_time():
     with pytest.raises(UsageError, match="takes about 36 s"):
         within_time(CaptureSettings(time_limit=29.0), 1, 3.0)
-    assert within_time(CaptureSettings(), 1, 1e9) == CaptureSettings()
-    assert slowness() > 0.0
+    assert within_time(CaptureSettings(), 1, 1e9) == CaptureSettings() and slowness() > 0.0
 
 
 def test_pngs_and_directx_normals(matcap, pipeline, photo, out):
@@ -142,8 +138,7 @@ def test_pngs_and_directx_normals(matcap, pipeline, photo, out):
 def test_the_preview_shows_eight_panels_and_their_crops(matcap, pipeline, photo, out):
     matcap("capture", photo, "-o", out, "--size", 16)
     with Image.open(out / "leather" / "preview.png") as sheet:
-        assert sheet.mode == "RGB"
-        assert sheet.width > 8 * 256
+        assert sheet.mode == "RGB" and sheet.width > 8 * 256
         # The photograph's panel: a quarter of full light is sRGB 137.
         assert sheet.getpixel((270, 200)) == (137, 137, 137)
 
@@ -167,10 +162,7 @@ def test_the_report_states_settings_and_results(matcap, pipeline, photo, out):
 def test_the_verdict_is_printed_and_strict_sets_the_exit_code(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
-    assert (
-        "failed: the photograph itself: the picture is one plain colour, without any texture"
-        in said.err
-    )
+    assert "failed: the photograph itself: the picture is one plain colour, without" in said.err
     assert "error" not in said.err
     again = ("--size", 16, "--strict", "--overwrite")
     assert matcap("capture", photo, "-o", out, *again).code == 3
@@ -179,8 +171,7 @@ def test_the_verdict_is_printed_and_strict_sets_the_exit_code(matcap, pipeline, 
 def test_json_is_all_of_stdout(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16, "--json", "-q")
     (result,) = json.loads(said.out)["photographs"]
-    assert said.err == ""
-    assert result["status"] == "done"
+    assert said.err == "" and result["status"] == "done"
     assert set(result["error"]) == {"exemplar", "field"}
     assert result["verdict"]["rating"] == "failed"  # even grey shows no flash
     assert result["material"] == str(out / "leather" / "leather.matcap")
@@ -189,15 +180,13 @@ def test_json_is_all_of_stdout(matcap, pipeline, photo, out):
 def test_progress_is_plain_lines_where_there_is_no_terminal(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert "preparing the texture" in said.err
-    assert "\x1b" not in said.err
+    assert "\x1b" not in said.err and "index" not in said.err
     assert len(said.err.splitlines()) == 4  # two stages, what was made, the verdict
 
 
-def test_every_stage_is_shown_in_words(matcap, pipeline, photo, out):
+def test_every_stage_is_shown_in_words():
     for stages in (EXEMPLAR_STAGES, MULTIVIEW_STAGES, DECODER_STAGES, DRAWING_STAGES):
         assert set(stages) <= set(SHOWN_STAGES)
-    said = matcap("capture", photo, "-o", out)
-    assert "preparing the texture" in said.err and "index" not in said.err
 
 
 def test_long_work_is_shown_by_lines_where_there_is_no_terminal(monkeypatch, capsys):
@@ -240,8 +229,7 @@ def test_other_photographs_go_on_and_the_exit_code_is_4(matcap, pipeline, photo,
     empty = tmp_path / "empty.dng"
     empty.touch()
     said = matcap("capture", empty, photo, "-o", out, "--size", 16, "--json")
-    assert said.code == 4
-    assert "the file is empty; copy it again." in said.err
+    assert said.code == 4 and "the file is empty; copy it again." in said.err
     results = json.loads(said.out)["photographs"]
     assert [result["status"] for result in results] == ["failed", "done"]
     assert [f.name for f in out.iterdir()] == ["leather"]
@@ -256,8 +244,7 @@ def test_an_interruption_saves_the_best_so_far_and_exits_with_130(
     (result,) = json.loads(said.out)["photographs"]  # the second one is not begun
     assert result["status"] == "interrupted"
     report = json.loads((out / "leather" / "report.json").read_text())
-    assert report["interrupted"] is True
-    assert "best so far" in report["warnings"][0]
+    assert report["interrupted"] is True and "best so far" in report["warnings"][0]
     assert read_mapset(out / "leather")[0].size == (16, 16)
 
 
@@ -276,8 +263,7 @@ def test_a_bug_exits_with_1_and_one_sentence(matcap, pipeline, photo, tmp_path, 
     monkeypatch.delenv("MATCAP_DEBUG", raising=False)
     pipeline.failure = RuntimeError("shapes do not match")
     said = matcap("capture", photo, "-o", out, "-q")
-    assert said.code == 1
-    assert said.err.count("\n") == 1
+    assert said.code == 1 and said.err.count("\n") == 1
     assert "internal error (RuntimeError: shapes do not match)" in said.err
     assert list(tmp_path.iterdir()) == [photo]
 
@@ -285,8 +271,7 @@ def test_a_bug_exits_with_1_and_one_sentence(matcap, pipeline, photo, tmp_path, 
 def test_a_setting_refused_by_the_pipeline_exits_with_2(matcap, pipeline, photo, out):
     pipeline.failure = UsageError("no preset 'fast'", where="--preset", remedy="use draft")
     said = matcap("capture", photo, "-o", out, "-q")
-    assert said.code == 2
-    assert said.err == "matcap: --preset: no preset 'fast'; use draft.\n"
+    assert said.code == 2 and said.err == "matcap: --preset: no preset 'fast'; use draft.\n"
 
 
 def test_the_folder_is_checked_before_any_work(matcap, pipeline, photo, tmp_path):
@@ -294,9 +279,7 @@ def test_the_folder_is_checked_before_any_work(matcap, pipeline, photo, tmp_path
     assert said.code == 3
     assert "a file stands where a folder is needed; choose another folder with -o." in said.err
     said = matcap("capture", photo, "-o", tmp_path / "out", "--size", "100000000x10000")
-    assert said.code == 3
-    assert "are needed but the disk has" in said.err
-    assert pipeline.calls == []
+    assert said.code == 3 and "are needed but the disk has" in said.err and pipeline.calls == []
     assert list(tmp_path.iterdir()) == [photo]
 
 
@@ -311,8 +294,7 @@ def test_a_disk_that_fills_while_saving_leaves_nothing(
 
     monkeypatch.setattr(home, fails_at, full)
     said = matcap("capture", photo, "-o", out, "--size", 16, "-q")
-    assert said.code == 3
-    assert said.err.count("\n") == 1
+    assert said.code == 3 and said.err.count("\n") == 1
     assert "the disk is full; free some space or choose another folder with -o." in said.err
     assert list(tmp_path.iterdir()) == [photo]
 
@@ -331,8 +313,7 @@ def test_an_earlier_capture_is_replaced_with_overwrite_alone(matcap, pipeline, p
     before = (out / "leather" / "report.json").read_bytes()
     for again in ((), ("--seed", 1)):
         said = matcap("capture", photo, "-o", out, "--size", 16, *again)
-        assert said.code == 3
-        assert "this exists already" in said.err and "--overwrite" in said.err
+        assert said.code == 3 and "this exists already" in said.err and "--overwrite" in said.err
         assert (out / "leather" / "report.json").read_bytes() == before
         assert matcap("capture", photo, "-o", out, "--size", 16, *again, "--overwrite").code == 0
         before = (out / "leather" / "report.json").read_bytes()
@@ -421,11 +402,8 @@ def test_the_effort_is_that_of_the_settings(captured):
     assert report_report(captured)["effort"] == effort
     asked = replace(captured.settings, generator="decoder", steps=5)
     decoder = replace(captured, settings=asked, tuning=Tuning(((1.0, 5, 0.5),)))
-    assert report_report(decoder)["effort"] == effort | {
-        "steps": 5,
-        "windows_per_step": 3,
-        "matched": True,
-    }
+    more = {"steps": 5, "windows_per_step": 3, "matched": True}
+    assert report_report(decoder)["effort"] == effort | more
 
 
 def test_a_time_limit_that_overrides_the_preset_is_noted(captured):
@@ -437,11 +415,8 @@ def test_a_time_limit_that_overrides_the_preset_is_noted(captured):
     (note,) = (note for note in values["notes"] if note not in usual)
     assert "the preset has no effect: the limit determines the texels" in note
     decoder = CaptureSettings(generator="decoder", time_limit=9.0)
-    (note,) = (
-        note
-        for note in report_report(replace(captured, settings=decoder))["notes"]
-        if note not in usual
-    )
+    said = report_report(replace(captured, settings=decoder))["notes"]
+    (note,) = (note for note in said if note not in usual)
     assert "at most 800 steps" in note
     counted = replace(captured, settings=replace(decoder, steps=5))
     assert report_report(counted)["notes"] == usual

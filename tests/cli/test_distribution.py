@@ -115,14 +115,9 @@ def unpacked(site: Path, *wheels: Path) -> Path:
 def python(script: str, site: Path, work: Path) -> subprocess.CompletedProcess[str]:
     """Run a script in a folder, with what is unpacked in another."""
     work.mkdir()
-    return subprocess.run(
-        [sys.executable, "-c", NO_EDITABLE + script, str(site)],
-        cwd=work,
-        env=os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-c", NO_EDITABLE + script, str(site)]
+    place = os.environ | {"PYTHONPATH": str(site), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(command, cwd=work, env=place, capture_output=True, text=True)
 
 
 def test_the_wheel_has_the_whole_package_and_nothing_else(dist):
@@ -132,10 +127,8 @@ def test_the_wheel_has_the_whole_package_and_nothing_else(dist):
         about = next(name for name in archive.namelist() if name.endswith("/METADATA"))
         metadata = archive.read(about).decode()
         licences = [name for name in archive.namelist() if name.endswith("licenses/LICENSE")]
-    assert names == packaged()
-    assert set(DATA) <= names
-    assert "License-Expression: Apache-2.0" in metadata
-    assert licences
+    assert names == packaged() and set(DATA) <= names
+    assert "License-Expression: Apache-2.0" in metadata and licences
 
 
 def test_the_sdist_has_all_that_the_wheel_is_built_from(dist):
@@ -170,8 +163,7 @@ NAMES = {
 
 
 def test_public_names_are_a_promise():
-    assert set(matcap.__all__) == NAMES
-    assert set(dir(matcap)) == NAMES
+    assert set(matcap.__all__) == NAMES and set(dir(matcap)) == NAMES
 
 
 @pytest.mark.parametrize("name", sorted(NAMES - {"__version__"}))
@@ -259,8 +251,7 @@ def test_a_sound_installation(matcap):
     report = json.loads(said.out)
     assert report["self_test"]["fault"] is None and report["compiled"]
     assert (said.code, said.err, report["healthy"]) == (0, "", True)
-    assert {"torch", "numpy", "typer"} <= set(report["packages"])
-    assert report["devices"][0] == "cpu"
+    assert {"torch", "numpy", "typer"} <= set(report["packages"]) and report["devices"][0] == "cpu"
 
 
 @pytest.fixture
@@ -282,16 +273,13 @@ def test_the_text_names_the_command_that_installs_a_missing_extra(matcap, withou
     without("pillow-heif")
     said = matcap("doctor", "--no-self-test")
     assert said.code == 0  # extras are no need
-    assert 'not installed: pip install "matcap[heic]"' in said.out
-    assert "All is well." in said.out
+    assert 'not installed: pip install "matcap[heic]"' in said.out and "All is well." in said.out
 
 
 def test_a_missing_requirement_is_a_fault(matcap, without):
     without("rawpy")
     said = matcap("doctor")
-    assert said.code == 3
-    assert "rawpy" in said.out
-    assert "MISSING" in said.out
+    assert said.code == 3 and "rawpy" in said.out and "MISSING" in said.out
 
 
 @pytest.mark.parametrize("fault", [MatcapError("the prior is damaged"), RuntimeError("no memory")])

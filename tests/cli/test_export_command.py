@@ -46,8 +46,7 @@ def test_files_of_other_formats(matcap, folder):
     assert matcap("export", "set", "--to", "raw", "--format", "jpg", "-o", "out").code == 0
     assert (folder / "out" / "moss_diffuse.jpg").is_file()
     found = matcap("export", "set", "--to", "gltf", "--format", "exr")
-    assert found.code == 2
-    assert "--format: glTF cannot hold exr; give png or jpg." in found.err
+    assert found.code == 2 and "--format: glTF cannot hold exr; give png or jpg." in found.err
 
 
 def test_json_states_what_is_lost(matcap, folder):
@@ -57,8 +56,7 @@ def test_json_states_what_is_lost(matcap, folder):
     assert report["residual"]["worst"] > report["residual"]["mean"] > 0.01
     assert report["workflow"] == "metallic"
     assert report["residuals"]["specular"]["mean"] < report["residuals"]["metallic"]["mean"]
-    assert "moss_MaskMap.png" in report["files"]
-    assert report["folder"] == "moss_unity-hdrp"
+    assert "moss_MaskMap.png" in report["files"] and report["folder"] == "moss_unity-hdrp"
 
 
 def test_real_lengths_are_exported(matcap, folder):
@@ -71,8 +69,7 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
     from matcap.field.opened import open_tile
 
     said = matcap("export", material, "--to", "gltf", "--size", "48x32", "--seed", 3)
-    assert said.code == 0
-    assert (tmp_path / "noise_gltf_48x32_seed3" / "noise.glb").is_file()
+    assert said.code == 0 and (tmp_path / "noise_gltf_48x32_seed3" / "noise.glb").is_file()
     assert open_tile(material, size=(48, 32), seed=3).maps.periodic
     assert not open_tile(material, size=(40, 32), seed=3).maps.periodic
 
@@ -107,16 +104,14 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
 def test_failures_are_one_sentence_and_leave_nothing(matcap, folder, arguments, code, said):
     before = sorted(folder.rglob("*"))
     found = matcap("export", "set", *arguments)
-    assert found.code == code
-    assert said in found.err
+    assert found.code == code and said in found.err
     assert found.err.count("\n") == 1 or "Usage:" in found.err
     assert sorted(folder.rglob("*")) == before
 
 
 def test_a_folder_without_maps_is_refused(matcap, tmp_path):
     found = matcap("export", tmp_path, "--to", "usd", "-o", tmp_path / "out")
-    assert found.code == 3
-    assert "no map set and no material" in found.err
+    assert found.code == 3 and "no map set and no material" in found.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -128,8 +123,7 @@ def test_synth_exports_too(matcap, material, tmp_path):
     assert said.code == 0, said.err
     assert (tmp_path / "set" / "materialx" / "noise.mtlx").is_file()
     said = matcap("synth", material, "--udim", "2x1", "--export", "raw", "-o", "other")
-    assert said.code == 2
-    assert "a texture set cannot be exported" in said.err
+    assert said.code == 2 and "a texture set cannot be exported" in said.err
     assert not (tmp_path / "other").exists()
 
 
@@ -146,8 +140,7 @@ def test_capture_exports_too(matcap, pipeline, photo, tmp_path):
         "capture", photo, "-o", tmp_path / "out", "--size", "32", "--export", "gltf",
         "--export", "unreal",
     )  # fmt: skip
-    assert said.code == 0
-    assert (tmp_path / "out" / "leather" / "gltf" / "leather.glb").is_file()
+    assert said.code == 0 and (tmp_path / "out" / "leather" / "gltf" / "leather.glb").is_file()
     assert (tmp_path / "out" / "leather" / "unreal" / "T_leather_ORM.png").is_file()
     sidecar = json.loads((tmp_path / "out" / "leather" / "gltf" / "leather_gltf.json").read_text())
     assert sidecar["periodic"] is True and sidecar["seam"] > 0.0
@@ -155,10 +148,8 @@ def test_capture_exports_too(matcap, pipeline, photo, tmp_path):
 
 def test_capture_refuses_unknown_targets_before_any_work(matcap, pipeline, photo, tmp_path):
     said = matcap("capture", photo, "-o", tmp_path / "out", "--export", "blendr")
-    assert said.code == 2
-    assert "--export: there is no 'blendr'; did you mean 'blender'." in said.err
-    assert pipeline.calls == []
-    assert not (tmp_path / "out").exists()
+    assert said.code == 2 and "--export: there is no 'blendr'; did you mean 'blender'." in said.err
+    assert pipeline.calls == [] and not (tmp_path / "out").exists()
 
 
 def test_a_size_of_a_map_set_is_refused_and_an_earlier_export_is_kept(matcap, folder):
@@ -174,8 +165,7 @@ def test_an_unknown_target_lists_all_targets(matcap, folder):
     from matcap.export.targets import TARGETS
 
     said = matcap("export", "set", "--to", "qqqqqq")
-    assert said.code == 2
-    assert all(f"{target}" in said.err for target in TARGETS)
+    assert said.code == 2 and all(f"{target}" in said.err for target in TARGETS)
 
 
 def test_unreal_is_plain_unless_substrate_is_asked_for(matcap, folder):

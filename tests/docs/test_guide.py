@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 import torch
 import typer
-from guide import ROOT as GUIDE_ROOT
-from guide import anchors, commands
+from guide import ROOT, anchors, commands
 from lattice_tilt import tilt_about_x
 
 import matcap as package
@@ -38,8 +37,8 @@ QUICKEST = ("relight.md", "view.md")
 def readme_ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where README's lines ran, in order; pages are only written, for nobody closes the others."""
     folder = tmp_path_factory.mktemp("readme")
-    (folder / "examples").symlink_to(GUIDE_ROOT / "examples")
-    text = (GUIDE_ROOT / "README.md").read_text(encoding="utf-8")
+    (folder / "examples").symlink_to(ROOT / "examples")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
     lines = re.findall(
         r"(?m)(?:^|/bin/)(matcap .*)", "".join(re.findall(r"(?s)```sh\n(.*?)```", text))
     )
@@ -86,8 +85,8 @@ def test_the_guides_pattern_shows_its_tilt(degrees):
 
 # What the documentation shows: commands parse, cheap ones run, snippets work, links hold.
 
-PAGES = sorted([*GUIDE_ROOT.glob("*.md"), *GUIDE_ROOT.glob("docs/**/*.md")])
-NAMES = [str(page.relative_to(GUIDE_ROOT)) for page in PAGES]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Pages of the guide whose cheap commands are run.
 RUN = ("synth", "blend")
 # As shown, but smaller: as good a test.
@@ -98,14 +97,10 @@ LONG = {"capture", "batch", "sample", "doctor"}
 
 def toml(page: str) -> list[str]:
     """The TOML files that a page shows."""
-    return re.findall(
-        r"```toml\n(.*?)```", (GUIDE_ROOT / page).read_text(encoding="utf-8"), re.DOTALL
-    )
+    return re.findall(r"```toml\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
 
 
-SHOWN = sorted(
-    {line: str(p.relative_to(GUIDE_ROOT)) for p in PAGES for line in commands(p)}.items()
-)
+SHOWN = sorted({line: str(p.relative_to(ROOT)) for p in PAGES for line in commands(p)}.items())
 COMMAND = typer.main.get_command(app)
 
 
@@ -156,7 +151,7 @@ def test_cheap_commands_run(page, small, tmp_path, monkeypatch, capsys):
         (tmp_path / "out" / name).mkdir(parents=True)
         small.save(tmp_path / "out" / name / f"{name}.matcap")
     ran = 0
-    for line in commands(GUIDE_ROOT / page):
+    for line in commands(ROOT / page):
         if cheap(line):
             # As shown but for the size: of an option given twice the second counts.
             words = shlex.split(line.replace("4096x256", "600x256"))[1:]
@@ -176,8 +171,8 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
     captured = SimpleNamespace(material=small, errors={})
     monkeypatch.setattr(pipeline, "capture_photo", lambda *_, **__: captured)
     monkeypatch.chdir(tmp_path)
-    shutil.copy(GUIDE_ROOT / "examples/photos/leather.dng", tmp_path)
-    text = (GUIDE_ROOT / "docs/guide/python.md").read_text(encoding="utf-8")
+    shutil.copy(ROOT / "examples/photos/leather.dng", tmp_path)
+    text = (ROOT / "docs/guide/python.md").read_text(encoding="utf-8")
     snippets = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     names: dict = {}
     for snippet in snippets:
@@ -187,40 +182,37 @@ def test_python_guide_runs_from_top_to_bottom(small, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("stages", [EXEMPLAR_STAGES, DRAWING_STAGES], ids=["example", "decoder"])
 def test_how_it_works_goes_through_the_stages_of_today(stages):
-    text = (GUIDE_ROOT / "docs/guide/how-it-works.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/guide/how-it-works.md").read_text(encoding="utf-8")
     lists = re.findall(r"(?:^\d+\. (?:.|\n)*?(?=\n\n|\n\d+\. |\Z)\n?)+", text, re.MULTILINE)
     assert list(stages) in [re.findall(r"\*\*([a-z-][a-z -]*)\*\*", steps) for steps in lists]
 
 
 def test_releases_are_called_alike():
-    cited = re.search(r"^version: (\S+)$", (GUIDE_ROOT / "CITATION.cff").read_text(), re.MULTILINE)[
-        1
-    ]
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]
     latest = re.search(
-        r"^## (\S+) - \d{4}-\d\d-\d\d$", (GUIDE_ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
+        r"^## (\S+) - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
     )
     assert cited == latest[1] == package.__version__
 
 
 def test_hooks_before_a_commit_are_what_ci_runs():
-    hooks = (GUIDE_ROOT / ".pre-commit-config.yaml").read_text()
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text()
     entries = re.findall(r"entry: ([a-z-]+(?: [a-z]+)?)", hooks)
-    ci = (GUIDE_ROOT / ".ci" / "run").read_text()
+    ci = (ROOT / ".ci" / "run").read_text()
     assert len(entries) == 4
     assert all(re.search(rf"bin/{entry}( |$)", ci, re.MULTILINE) for entry in entries)
 
 
 def test_readme_changelog_and_notes_stay_short():
-    assert len((GUIDE_ROOT / "README.md").read_text().splitlines()) <= 140
-    assert len((GUIDE_ROOT / "CHANGELOG.md").read_text().splitlines()) <= 120
-    notes = list((GUIDE_ROOT / "docs/notes").glob("*.md"))
-    assert len(notes) <= 12
-    assert sum(page.stat().st_size for page in notes) <= 120_000
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 140
+    assert len((ROOT / "CHANGELOG.md").read_text().splitlines()) <= 120
+    notes = list((ROOT / "docs/notes").glob("*.md"))
+    assert len(notes) <= 12 and sum(page.stat().st_size for page in notes) <= 120_000
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_links_and_pictures_lead_somewhere(name):
-    page = GUIDE_ROOT / name
+    page = ROOT / name
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
         if target.startswith(("http://", "https://")):
@@ -234,7 +226,7 @@ def test_links_and_pictures_lead_somewhere(name):
 
 @pytest.mark.parametrize("folder", ["view", "gallery", "shooting"])
 def test_pictures_are_small_and_shown(folder):
-    pictures = sorted((GUIDE_ROOT / "docs/images" / folder).iterdir())
+    pictures = sorted((ROOT / "docs/images" / folder).iterdir())
     shown = " ".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert pictures
     for picture in pictures:
@@ -246,12 +238,10 @@ def test_files_named_in_the_documentation_exist():
     named = re.compile(r"`((?:matcap|tests|examples|docs)/[\w/.-]+)`")
     for page in PAGES:
         for path in named.findall(page.read_text(encoding="utf-8")):
-            assert (GUIDE_ROOT / path).exists(), f"{page.name}: {path}"
+            assert (ROOT / path).exists(), f"{page.name}: {path}"
 
 
 # The change that docs/guide/extend.md walks through, done as the page says.
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -291,7 +281,7 @@ DETAIL = 128
 @pytest.fixture
 def capture_steps(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.syspath_prepend(ROOT / "examples")
-    return pytest.importorskip("capture_steps")
+    return import_module("capture_steps")
 
 
 @pytest.mark.capture

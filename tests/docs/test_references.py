@@ -109,11 +109,8 @@ def test_the_reference_has_every_exit_code():
 
 def test_a_material_holds_what_the_reference_states(small, tmp_path):
     maps = small.maps(96, 96)
-    piece = Exemplar(
-        *(getattr(maps, name).numpy() for name in CHANNELS),
-        confidence=np.ones((4, 96, 96), np.float32),
-        texel_size=maps.texel_size,
-    )
+    channels, sure = (getattr(maps, name).numpy() for name in CHANNELS), np.ones((4, 96, 96), "f4")
+    piece = Exemplar(*channels, confidence=sure, texel_size=maps.texel_size)
     example = Example.of(piece)
     drawn = replace(small.part(TunedDecoder), drawing=Drawing(Example.of(piece)))
     both = {"example": example, "decoder": drawn}
@@ -122,9 +119,8 @@ def test_a_material_holds_what_the_reference_states(small, tmp_path):
     with safe_open(tmp_path / "leather.matcap", framework="pt") as file:
         about, tensors = json.loads(file.metadata()["matcap"]), list(file.keys())
     assert set(about) == formats.keys("matcap.field.material", "Metadata")
-    result = [
-        key.replace("*", r"[\w.]+") for key in formats.keys("matcap.field.material", "Tensors")
-    ]
+    stated = formats.keys("matcap.field.material", "Tensors")
+    result = [key.replace("*", r"[\w.]+") for key in stated]
     assert all(any(re.fullmatch(key, name) for key in result) for name in tensors)
     assert all(any(re.fullmatch(key, name) for name in tensors) for key in result)
 
@@ -135,10 +131,8 @@ def test_a_map_set_and_its_exports_hold_what_the_reference_states(small, tmp_pat
     file = write_mapset(maps, "leather", MapSetInfo("leather"), png=True)
     assert set(json.loads(file.read_text())) == result - {SPECULAR_CHANNELS}
     gold = replace(maps, specular=maps.specular.expand(3, -1, -1))
-    assert (
-        set(json.loads(write_mapset(gold, "gold", MapSetInfo("gold"), png=True).read_text()))
-        == result
-    )
+    file = write_mapset(gold, "gold", MapSetInfo("gold"), png=True)
+    assert set(json.loads(file.read_text())) == result
     found = set()
     for target in ("gltf", "blender", "unreal"):
         assert main(["export", "leather", "--to", target, "-q", "-o", target]) == 0
@@ -339,10 +333,8 @@ def keys() -> frozenset[str]:
 
 def cited(file: Path) -> set[str]:
     """Keys that a file cites: [heitz2014], [heitz2014, eq. 99], [gatys2015; liu2016]."""
-    parts = (
-        part.split(",")[0].strip() for c in CITED.findall(prose(file)) for part in c.split(";")
-    )
-    return {part for part in parts if KEY.match(part)}
+    parts = ";".join(CITED.findall(prose(file))).split(";")
+    return {key for part in parts if KEY.match(key := part.split(",")[0].strip())}
 
 
 def mentioned(file: Path) -> set[str]:

@@ -118,8 +118,7 @@ def test_a_field_correlates_with_the_texels_it_places():
         assert np.corrcoef(found.ravel(), own.ravel())[0, 1] > 0.8
     # Heights are blended, about the exemplar's own level.
     height = example.exemplar.height
-    assert abs(maps[5].mean() - height.mean()) < height.std()
-    assert height.mean() > 3.0 * height.std()
+    assert abs(maps[5].mean() - height.mean()) < height.std() and height.mean() > 3.0 * height.std()
 
 
 def test_patches_have_many_texels():
@@ -145,8 +144,7 @@ def test_at_least_half_of_the_places_have_no_placement_cost():
     trust = np.ones_like(doubted.confidence)
     trust[:, :, 58:] = np.linspace(0.6, 0.2, 118, dtype=np.float32)
     priced = build_index(replace(doubted, confidence=trust), ()).penalty > 0
-    assert 0.4 < priced.mean() <= 0.5
-    assert not priced[:, :22].any() and priced[:, 23:].all()
+    assert 0.4 < priced.mean() <= 0.5 and not priced[:, :22].any() and priced[:, 23:].all()
 
 
 def test_a_mark_that_occurs_once_is_left_out_and_reported():
@@ -188,8 +186,7 @@ def test_a_lattice_neither_drifts_nor_breaks():
             3, np.arange(x, x + 96)[None, :], np.arange(y, y + 96)[:, None], (None, None)
         )
         apart = (shown - wanted).astype(float) / 2**16  # turns, wrapped by 16 bits
-        assert np.sqrt((apart**2).mean()) < 0.05
-        assert abs(apart.mean()) < 0.02
+        assert np.sqrt((apart**2).mean()) < 0.05 and abs(apart.mean()) < 0.02
 
 
 def joints(example, x, y, side):

@@ -119,8 +119,7 @@ def test_the_compiled_correction_is_the_plain_one_from_any_beginning(example):
             form(places, level, odd_columns, odd_rows, 2, phases)
             for form in (correct, plain.correct)
         )
-        assert np.array_equal(found, expected)
-        assert (found != places[16:-16, 16:-16]).any()
+        assert np.array_equal(found, expected) and (found != places[16:-16, 16:-16]).any()
 
 
 def test_candidates_are_among_the_most_similar_places():
@@ -209,8 +208,7 @@ def joined(example, side=384):
 @pytest.mark.parametrize("example", [an_example, ordered], indirect=True)
 def test_less_variety_has_larger_patches(example):
     shares = [joined(example.varied(variety)) for variety in (0.0, 0.3, 1.0)]
-    assert shares[0] > shares[1] > shares[2]
-    assert shares[0] > 0.97
+    assert shares[0] > shares[1] > shares[2] and shares[0] > 0.97
 
 
 def test_patches_shrink_from_the_whole_frame_to_the_least_size():
@@ -220,8 +218,7 @@ def test_patches_shrink_from_the_whole_frame_to_the_least_size():
     for larger, smaller in zip(sizes, sizes[1:], strict=False):
         assert larger.width >= smaller.width and larger.height >= smaller.height
     assert sizes[0].width > 0.5 * (level.frame.right - level.frame.left)
-    assert sizes[-1].loose and not sizes[-2].loose
-    assert lookup.sizes == sizes[-1]
+    assert sizes[-1].loose and not sizes[-2].loose and lookup.sizes == sizes[-1]
 
 
 def test_large_patches_show_all_of_the_exemplar_equally_often():
@@ -362,8 +359,7 @@ def plaid():
 
 @pytest.mark.parametrize("waves", [(), ((0.2, 0.0), (0.0, 0.2))], ids=["plain", "lattice"])
 def test_a_plaid_repeats_whole_and_boards_do_not(waves):
-    assert with_chosen_variety(Example.of(plaid(), waves)).variety == 0.0
-    assert not is_plaid(boards())
+    assert with_chosen_variety(Example.of(plaid(), waves)).variety == 0.0 and not is_plaid(boards())
 
 
 def test_a_cloth_of_uneven_threads_is_no_plaid():
@@ -388,8 +384,7 @@ def test_only_long_structures_get_large_patches():
 
 def test_the_summary_states_the_patch_size():
     whole, small = summary(an_example().varied(0.0)), summary(an_example())
-    assert whole.patches[0] > small.patches[0]
-    assert "% of the photograph" in whole.patches_text()
+    assert whole.patches[0] > small.patches[0] and "% of the photograph" in whole.patches_text()
     # Texels of 2 / 1024 units of a metre.
     length = whole.patches[0] * 2 / 1024 * 100
     assert whole.patches_text(1000.0) == f"patches of about {length:.2g} cm"
@@ -484,6 +479,5 @@ def test_exemplars_without_a_fine_lattice_are_not_straightened(form, waves):
 def test_a_capture_keeps_the_maps_beside_the_photograph():
     bent = woven(bend=12.0)
     kept, example = indexed(bent, WAVES, turned=False)
-    assert kept is bent
-    assert min(coherence(example.exemplar, example.index.lattice.waves)) > 0.97
+    assert kept is bent and min(coherence(example.exemplar, example.index.lattice.waves)) > 0.97
     assert not example.index.lattice.phase_offsets.std(axis=(1, 2)).any()

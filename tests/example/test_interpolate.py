@@ -38,8 +38,7 @@ def deviations(exemplar, channels):
 
 def test_the_ends_are_the_given_exemplars():
     first, second = blobs(), dark_bricks()
-    assert interpolated(first, second, 0.0) is first
-    assert interpolated(first, second, 1.0) is second
+    assert interpolated(first, second, 0.0) is first and interpolated(first, second, 1.0) is second
 
 
 @pytest.mark.parametrize(("share", "end"), [(0.02, blobs), (0.98, dark_bricks)])
@@ -114,8 +113,7 @@ def test_a_metal_and_a_dielectric_meet_half_way_and_reflect_no_more_than_they_re
         coloured(blobs()), diffuse=0.0 * blobs().diffuse, specular=8.0 * coloured(blobs()).specular
     )
     middle = interpolated(dark_bricks(), metal, 0.5)
-    assert middle.coloured
-    assert float((middle.diffuse + middle.specular).max()) <= 1.0
+    assert middle.coloured and float((middle.diffuse + middle.specular).max()) <= 1.0
     assert middle.diffuse.mean() == pytest.approx(dark_bricks().diffuse.mean() / 4.0, rel=0.1)
     ends = [np.sqrt(one.specular).mean() for one in (dark_bricks(), metal)]
     assert np.sqrt(middle.specular).mean() == pytest.approx(sum(ends) / 2.0, rel=0.05)
@@ -125,16 +123,14 @@ def test_what_either_photograph_does_not_show_stays_unknown():
     hidden = blobs().confidence.copy()
     hidden[:, :, :40] = 0.0
     middle = interpolated(replace(blobs(), confidence=hidden), dark_bricks(), 0.1)
-    assert middle.confidence[:, :, :30].max() == 0.0
-    assert middle.confidence[:, :, 60:].min() == 1.0
+    assert middle.confidence[:, :, :30].max() == 0.0 and middle.confidence[:, :, 60:].min() == 1.0
 
 
 def test_exemplars_of_any_shape_are_interpolated():
     tall = bricks(40, 90)
     for first, second in ((tall, blobs(14, 20)), (blobs(14, 20), tall)):
         middle = interpolated(first, second, 0.5)
-        assert middle.size == first.size
-        assert np.isfinite(middle.stacked()).all()
+        assert middle.size == first.size and np.isfinite(middle.stacked()).all()
 
 
 def test_exemplars_without_a_pattern_blend_to_their_means():

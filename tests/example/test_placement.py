@@ -151,8 +151,7 @@ def test_a_patch_is_the_same_whatever_else_is_laid(count):
 
     many = laid(range(5), range(5))
     one = laid([3], [2])
-    assert one[0][0, 0] == many[0][2, 3]
-    assert one[1][0, 0] == many[1][2, 3]
+    assert one[0][0, 0] == many[0][2, 3] and one[1][0, 0] == many[1][2, 3]
 
 
 def test_reuse_costs_by_area_and_nearness_and_a_continuation_nothing():
@@ -160,11 +159,9 @@ def test_reuse_costs_by_area_and_nearness_and_a_continuation_nothing():
         shift = np.array([x]), np.array([y])
         return int(reuse_cost(shift, (side, 0), (side, side), 640, *wrap)[0])
 
-    assert cost(0, 0, 100) > cost(50, 0, 100) > cost(0, 100, 100) == 0
-    assert cost(100, 0, 100) == 0
+    assert cost(0, 0, 100) > cost(50, 0, 100) > cost(0, 100, 100) == 0 and cost(100, 0, 100) == 0
     # Patches of a whole exemplar of 800 texels: the end of one begins the other.
-    assert cost(600, 0, 800, (800, 800)) > 0
-    assert cost(0, 0, 800, (800, 800)) == 0
+    assert cost(600, 0, 800, (800, 800)) > 0 and cost(0, 0, 800, (800, 800)) == 0
 
 
 def test_means_of_costs_are_those_of_what_a_patch_shows():
@@ -214,8 +211,7 @@ def test_a_file_without_a_placement_rule_has_rule_1():
     about = json.loads(json.dumps(about))
     del about["index"]["placement"]
     old = Example.read(about, tensors.__getitem__)
-    assert old.lookup.rule == old.index.rule == 1
-    assert "placement" not in old.stored()[1]["index"]
+    assert old.lookup.rule == old.index.rule == 1 and "placement" not in old.stored()[1]["index"]
     about["index"]["placement"] = 4
     with pytest.raises(ValueError, match="rule 4"):
         Example.read(about, tensors.__getitem__)

@@ -90,8 +90,7 @@ def test_occlusion_equals_that_of_cast_rays(relief):
     assert off.mean() < 0.025  # of which the rays' own noise is 0.01
     assert abs(made.open[rows, columns].mean() - true.mean()) < 0.02
     angle = np.degrees(np.arccos(np.clip((made.bent[rows, columns] * bent).sum(-1), -1.0, 1.0)))
-    assert angle.mean() < 5.0
-    assert np.allclose(np.linalg.norm(made.bent, axis=-1), 1.0, atol=1e-5)
+    assert angle.mean() < 5.0 and np.allclose(np.linalg.norm(made.bent, axis=-1), 1.0, atol=1e-5)
 
 
 def traced(field, spp=512, around=2):
@@ -142,8 +141,7 @@ def test_occlusion_equals_that_of_a_path_tracer(relief):
 
 def test_flat_surfaces_have_no_occlusion():
     made = occlusion(np.full((8, 8), 3.0, np.float32), periodic=False)
-    assert made.open.min() > 0.999
-    assert made.cavity.min() > 0.999
+    assert made.open.min() > 0.999 and made.cavity.min() > 0.999
     assert np.allclose(made.bent, [0.0, 0.0, 1.0], atol=1e-4)
 
 
@@ -152,8 +150,7 @@ def test_cavity_depends_on_near_texels_alone():
     field[:, :16] = 30.0  # a wall
     made = occlusion(field, periodic=False)
     near, far = 16 + CAVITY_REACH - 2, 16 + 2 * CAVITY_REACH
-    assert made.cavity[32, near] < 0.9
-    assert made.cavity[32, far] > 0.999 > 0.95 > made.open[32, far]
+    assert made.cavity[32, near] < 0.9 and made.cavity[32, far] > 0.999 > 0.95 > made.open[32, far]
     assert made.bent[32, far, 0] > 0.2  # away from it
 
 

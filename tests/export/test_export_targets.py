@@ -54,8 +54,10 @@ def test_targets_with_the_same_model_keep_the_maps(made, written, target, name):
 @pytest.mark.parametrize("target", DOCUMENTS)
 def test_the_same_maps_give_the_same_bytes(tmp_path, made, written, target):
     write_export(ExportJob(made["leather"], "leather"), target, tmp_path)
-    for file in written(target, "leather")[0].iterdir():
-        assert filecmp.cmp(file, tmp_path / file.name, shallow=False)
+    before = written(target, "leather")[0]
+    names = sorted(file.name for file in before.iterdir())
+    assert names == sorted(file.name for file in tmp_path.iterdir())
+    assert filecmp.cmpfiles(before, tmp_path, names, shallow=False) == (names, [], [])
 
 
 @pytest.mark.parametrize("target", DOCUMENTS)
@@ -65,11 +67,6 @@ def test_broken_maps_leave_nothing(tmp_path, made, target):
     with pytest.raises(MatcapError, match="not finite"):
         write_export(ExportJob(broken, "leather"), target, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_unknown_targets_name_the_nearest(tmp_path, made):
-    with pytest.raises(UsageError, match="did you mean 'unreal'"):
-        write_export(ExportJob(made["leather"], "leather"), "unral", tmp_path)
 
 
 @pytest.mark.parametrize("target", ["usd", "gltf"])
@@ -85,8 +82,7 @@ def test_a_known_size_goes_into_every_export(tmp_path, made):
         done = export_mapset(tmp_path, target)
         assert not any("not measured" in note for note in done.notes)
         sidecar = json.loads((tmp_path / target / f"leather_{target}.json").read_text())
-        assert sidecar["unit"] == "mm"
-        assert sidecar["tile"][0] == pytest.approx(170.0)
+        assert sidecar["unit"] == "mm" and sidecar["tile"][0] == pytest.approx(170.0)
 
 
 def test_the_range_of_heights_is_that_of_the_material(tmp_path, made, monkeypatch):
@@ -151,7 +147,8 @@ def test_file_names_of_presets_are_those_of_the_table(captured, preset):
         asked = ["--workflow", form] if form else []
         assert main(["export", "out/leather", "--to", preset, *asked, "-q", "--overwrite"]) == 0
     there = " ".join(file.name for file in (captured / f"leather_{preset}").iterdir())
-    for part in re.findall(r"`([^`]+)`", row):
+    assert (parts := re.findall(r"`([^`]+)`", row))
+    for part in parts:
         wanted = re.sub("1k", "48", part, flags=re.IGNORECASE)  # 48 texels here, 1024 there
         assert wanted.split(".")[0] in there
 
@@ -165,12 +162,7 @@ WIDTH, HEIGHT = 256, 192
 def by_example(name):
     """A material that rearranges a simulated piece."""
     maps = realise(name, WIDTH, HEIGHT, 1, 2.0 / WIDTH)
-    piece = {
-        kind: np.ascontiguousarray(getattr(maps, kind).float().numpy())
-        for kind in ("diffuse", "specular", "roughness", "height")
-    }
-    sure = np.ones((4, HEIGHT, WIDTH), np.float32)
-    exemplar = Exemplar(**piece, confidence=sure, texel_size=2.0 / WIDTH)
+    exemplar = Exemplar.certain(maps.stacked().float().numpy(), 2.0 / WIDTH)
     return a_material(name, example=Example.of(exemplar))
 
 
@@ -227,13 +219,9 @@ CHANGES = {
 def test_lights_at_once_are_those_one_by_one(made, change):
     true = every(of_maps(made["rust"]), 1)
     theirs = replace(true, **CHANGES[change](true))
-    off, light = (
-        np.array([float(values.abs().sum()) for values in every_light])
-        for every_light in (
-            [theirs.shine(*at) - true.shine(*at) for at in DIRECTIONS],
-            [true.shine(*at) for at in DIRECTIONS],
-        )
-    )
+    ours = [true.shine(*at) for at in DIRECTIONS]
+    more = [theirs.shine(*at) - one for at, one in zip(DIRECTIONS, ours, strict=True)]
+    off, light = (np.array([float(values.abs().sum()) for values in one]) for one in (more, ours))
     found = compared(shine_all(true), theirs)
     assert found.mean == pytest.approx(off.sum() / light.sum(), rel=1e-12)
     assert found.worst == pytest.approx((off / light).max(), rel=1e-12)
@@ -249,12 +237,10 @@ def test_a_change_of_any_parameter_has_a_residual(made, change):
 def test_ten_percent_more_albedo_is_ten_percent_more_radiance(made):
     maps = made["leather"]
     black = MapSet(maps.diffuse, 0.0 * maps.specular, maps.roughness, maps.height, 1e9)
-    rough = TargetSurface(
-        maps.diffuse * 1.1, black.specular, black.roughness, black.normal, f90=0.0
-    )
-    true = TargetSurface(maps.diffuse, black.specular, black.roughness, black.normal, f90=0.0)
+    rest = black.specular, black.roughness, black.normal
+    both = (TargetSurface(factor * maps.diffuse, *rest, f90=0.0) for factor in (1.1, 1.0))
     light = torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)[:, None, None]
-    more, less = (every(s, 1).shine(light, light) for s in (rough, true))
+    more, less = (every(one, 1).shine(light, light) for one in both)
     assert torch.allclose(more, 1.1 * less, rtol=1e-6)
 
 
@@ -265,8 +251,7 @@ def test_the_surface_of_targets_equals_the_reflectance_of_matcap(made):
     light = torch.tensor([0.48, 0.36, 0.8], dtype=torch.float64)[:, None, None]
     view = torch.tensor([-0.6, 0.0, 0.8], dtype=torch.float64)[:, None, None]
     full = [v.expand_as(maps.normal) for v in (light, view)]
-    expected = cook_torrance(maps.diffuse, maps.specular, maps.roughness, maps.normal, *full) * dot(
-        maps.normal, full[0]
-    )
+    args = maps.diffuse, maps.specular, maps.roughness, maps.normal
+    expected = cook_torrance(*args, *full) * dot(maps.normal, full[0])
     found = of_maps(maps).shine(light, view)
     assert torch.allclose(found, expected.clamp_min(0.0), rtol=1e-6, atol=1e-9)

@@ -202,9 +202,8 @@ def test_rectangles_and_seeds_out_of_range_are_refused(seed, period, rectangle):
 def test_noise_and_waves_are_exact_at_far_coordinates():
     far = 2**40 - 64
     wide = noise_field(Patch(1, Rectangle(far, -far, 64, 32)), 4)
-    assert torch.equal(
-        wide[:, 5:, 9:], noise_field(Patch(1, Rectangle(far + 9, -far + 5, 55, 27)), 4)
-    )
+    part = noise_field(Patch(1, Rectangle(far + 9, -far + 5, 55, 27)), 4)
+    assert torch.equal(wide[:, 5:, 9:], part)
     wave = (Wave(0.1234567, 0.0),)
     near, distant = (
         wave_field(Patch(4, Rectangle(x, 0, 8, 1)), wave)[:2, 0].double() for x in (0, far)
@@ -254,11 +253,9 @@ def test_a_folder_means_its_material_and_a_map_sets_file_that_map_set(
     tmp_path, source_material, maps
 ):
     write_mapset(maps, tmp_path, MapSetInfo("a"))
-    assert torch.equal(open_tile(tmp_path).maps.height, maps.height)
-    assert source_material == []
+    assert torch.equal(open_tile(tmp_path).maps.height, maps.height) and source_material == []
     (tmp_path / "a.matcap").touch()
-    assert open_tile(tmp_path).maps is maps
-    assert len(source_material) == 1
+    assert open_tile(tmp_path).maps is maps and len(source_material) == 1
     assert torch.equal(open_tile(tmp_path / "a.json").maps.height, maps.height)
     assert len(source_material) == 1
 
@@ -296,8 +293,7 @@ def threads_after_an_operator() -> int:
 def test_every_thread_computes_on_one_core_and_the_caller_on_its_own_number(workers):
     with single_threaded(workers) as pool:
         found = [pool.submit(threads_after_an_operator) for _ in range(8)]
-        assert {one.result() for one in found} == {1}
-        assert threads_after_an_operator() == 2
+        assert {one.result() for one in found} == {1} and threads_after_an_operator() == 2
     assert threads_after_an_operator() == 2
 
 

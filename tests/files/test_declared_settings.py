@@ -159,8 +159,7 @@ def test_ten_thousand_names_are_plain_once_made_so(tmp_path):
 
 
 def test_sizes_are_parsed():
-    assert size("4096x256") == Size(4096, 256)
-    assert size("512") == Size(512, 512)
+    assert size("4096x256") == Size(4096, 256) and size("512") == Size(512, 512)
     assert size("2K") == Size(2048, 2048) and size("4kx512") == Size(4096, 512)
     assert size(str(Size(3, 4))) == Size(3, 4)
 

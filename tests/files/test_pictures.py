@@ -217,10 +217,8 @@ P3 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, *D65)
 REC2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, *D65)
 # ITU-R BT.2087-0 gives the inverse; BT.2407-0, section 2 this.
 REC2020_TO_709 = [
-    [1.6605, -0.5876, -0.0728],
-    [-0.1246, 1.1329, -0.0083],
-    [-0.0182, -0.1006, 1.1187],
-]
+    [1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187],
+]  # fmt: skip
 
 
 def test_rec2020_as_published():
@@ -261,16 +259,9 @@ def test_degenerate_primaries_are_refused(primaries):
 
 def test_no_other_file_has_its_own_luminance_or_srgb_curve():
     root = Path(matcap.__file__).parent
-    for number, homes in (
-        ("0.7152, 0.0722", {"files/color.py"}),
-        ("1.055", {"files/color.py"}),
-    ):
-        found = {
-            file.relative_to(root).as_posix()
-            for file in root.rglob("*.py")
-            if number in file.read_text(encoding="utf-8")
-        }
-        assert found == homes
+    texts = {file.relative_to(root).as_posix(): file.read_text() for file in root.rglob("*.py")}
+    for number in ("0.7152, 0.0722", "1.055"):
+        assert [name for name, text in texts.items() if number in text] == ["files/color.py"]
 
 
 # (linear light, code value): black, the knee, middle grey, half the light, white.
@@ -307,8 +298,7 @@ def test_srgb_has_a_gradient_on_both_sides_of_the_knee():
 def test_a_picture_is_clipped():
     linear = np.array([-1.0, 0.0, 0.214041, 1.0, 2.0], dtype=np.float32)
     found = srgb_picture(linear)
-    assert found.dtype == np.float32
-    assert found == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0], abs=1e-6)
+    assert found.dtype == np.float32 and found == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0], abs=1e-6)
 
 
 @pytest.mark.parametrize("light", [0.0, 0.001, 0.01, 0.2, 1.0, 3.0])
@@ -347,9 +337,8 @@ def test_white_is_zero_leaves_alpha(tmp_path):
         largest = np.iinfo(kind).max
         codes = np.full((64, 64, 2), largest // 4, kind)
         codes[..., 1] = largest // 3 * 2
-        tifffile.imwrite(
-            tmp_path / "a.tif", codes, photometric="miniswhite", extrasamples=["unassalpha"]
-        )
+        kinds = {"photometric": "miniswhite", "extrasamples": ["unassalpha"]}
+        tifffile.imwrite(tmp_path / "a.tif", codes, **kinds)
         pixels = read_pixels(tmp_path / "a.tif")
         assert float(pixels.channel("R")[0, 0]) == pytest.approx(0.75, abs=0.01)
         assert float(pixels.channel("A")[0, 0]) == pytest.approx(0.667, abs=0.01)
@@ -441,8 +430,7 @@ def test_the_interop_id_of_an_exr_is_its_colour_space(tmp_path, space, expected)
 def test_an_unknown_interop_id_is_noted(tmp_path):
     exr_of(tmp_path / "a.exr", ("", rgb(0.5), {"colorInteropID": "lin_martian_scene"}))
     colours, notes = linear_colours(read_pixels(tmp_path / "a.exr"))
-    assert colours[0, 0, 0] == 0.5
-    assert "lin_martian_scene" in notes[0]
+    assert colours[0, 0, 0] == 0.5 and "lin_martian_scene" in notes[0]
 
 
 @pytest.mark.parametrize("progressive", [False, True])

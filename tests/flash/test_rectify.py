@@ -28,9 +28,8 @@ def photo_of(pixels, clipped=None):
     height, width = pixels.shape[:2]
     if clipped is None:
         clipped = np.zeros((height, width), bool)
-    return Photo(
-        pixels.astype(np.float32), clipped, 65.0, "given", True, "made", (width, height)
-    )  # fmt: skip
+    pixels = pixels.astype(np.float32)
+    return Photo(pixels, clipped, 65.0, "given", True, "made", (width, height))
 
 
 def spot(setup, x, y, size=(128, 96)):
@@ -44,12 +43,9 @@ def spot(setup, x, y, size=(128, 96)):
 
 
 def test_rectifying_without_tilt_at_full_size_is_the_identity():
-    pixels = np.random.default_rng(0).random((24, 32, 3))
+    pixels = np.random.default_rng(0).random((24, 32, 3), np.float32)
     linear, valid = rectify(photo_of(pixels), a_setup(), 32)
-    assert linear.shape == (3, 24, 32)
-    assert torch.allclose(
-        linear, torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1), atol=1e-6
-    )
+    np.testing.assert_allclose(linear.numpy(), pixels.transpose(2, 0, 1), rtol=1e-5, atol=1e-6)
     assert bool(valid.all())
 
 
@@ -69,10 +65,8 @@ def test_radiance_is_kept_where_it_was_seen():
     setup = a_setup(tilt=(0.2, -0.1))
     picture = photograph(setup)
     linear, valid = rectify(picture, setup, 128)
-    u, v = project(
-        torch.tensor([[0.0, 0.3, -0.4], [0.0, 0.2, 0.1], [0.0] * 3], dtype=torch.float64), setup
-    ).numpy()
-    for x, y, a, b in zip((0.0, 0.3, -0.4), (0.0, 0.2, 0.1), u, v, strict=True):
+    places = torch.tensor([[0.0, 0.3, -0.4], [0.0, 0.2, 0.1], [0.0] * 3], dtype=torch.float64)
+    for x, y, a, b in [*zip(*places[:2].tolist(), *project(places, setup).tolist(), strict=True)]:
         texel = linear[:, int(48 - y * 64), int((x + 1) * 64)]
         pixel = picture.pixels[int(48 - b * 64), int((a + 1) * 64)]
         assert texel.numpy() == pytest.approx(pixel, rel=0.06)
@@ -83,9 +77,8 @@ def test_unseen_texels_are_invalid():
     setup = a_setup(tilt=(0.0, 0.4))
     _, valid = rectify(photograph(setup), setup, 128)
     rows, columns = np.indices((96, 128))
-    points = torch.from_numpy(
-        np.stack([(columns + 0.5) / 64 - 1, (48 - rows - 0.5) / 64, 0.0 * rows])
-    )
+    points = np.stack([(columns + 0.5) / 64 - 1, (48 - rows - 0.5) / 64, 0.0 * rows])
+    points = torch.from_numpy(points)
     u, v = project(points, setup)
     inside = (u.abs() < 1.0) & (v.abs() < 0.75)
     border = ((u.abs() - 1.0).abs() < 0.02) | ((v.abs() - 0.75).abs() < 0.02)
@@ -104,8 +97,7 @@ def test_clipped_pixels_are_invalid_and_their_neighbours_valid():
 @pytest.mark.parametrize(("from_size", "detail"), [((64, 48), 128), ((512, 384), 128)])
 def test_detail_sets_the_size_whatever_the_photographs(from_size, detail):
     linear, valid = rectify(photograph(a_setup(), size=from_size), a_setup(), detail)
-    assert linear.shape == (3, detail * 3 // 4, detail)
-    assert valid.shape == linear.shape[1:]
+    assert linear.shape == (3, detail * 3 // 4, detail) and valid.shape == linear.shape[1:]
     mean = photograph(a_setup()).pixels.mean()
     assert float(linear.mean()) == pytest.approx(float(mean), rel=0.02)
     assert math.isfinite(float(linear.sum()))
@@ -149,17 +141,14 @@ def test_clipped_texels_do_not_decide_the_encoding():
 
 def test_the_encoding_without_valid_texels_uses_all():
     linear, valid = photographed(burnt=True)
-    assert plane_of(linear, torch.zeros_like(valid)).encoding.median == float(
-        linear.mean(0).median()
-    )
+    plane = plane_of(linear, torch.zeros_like(valid))
+    assert plane.encoding.median == float(linear.mean(0).median())
 
 
 # Crop and mask: what is none of the material is not measured, and the geometry stays.
 
 
 LABEL = (9.0, 0.1, 0.1)
-
-
 WIDTH, HEIGHT = 128, 96  # pixels
 
 
@@ -182,11 +171,9 @@ def a_mask(path, rows, columns):
 
 
 def test_a_crop_leaves_the_photograph_its_size_and_shows_mirrors(photo):
-    found = leave_out(
-        labelled(photo, slice(None), slice(WIDTH - 60, None)),
-        Rectangle(0, 0, photo.original_size[0] - 60, photo.original_size[1]),
-        None,
-    )
+    width, height = photo.original_size
+    beside = labelled(photo, slice(None), slice(WIDTH - 60, None))
+    found = leave_out(beside, Rectangle(0, 0, width - 60, height), None)
     assert found.pixels.shape == photo.pixels.shape and found.pixels.max() < LABEL[0]
     assert found.left_out[:, -60:].all() and not found.left_out[:, :-60].any()
     np.testing.assert_array_equal(found.pixels[:, -55], found.pixels[:, -67])
@@ -209,9 +196,8 @@ def test_a_fit_beside_a_label_is_that_without_it(photo, tmp_path):
     assert fit.setup.offset[:2] == pytest.approx(clean.setup.offset[:2], abs=0.02)
     assert fit.setup.tilt == pytest.approx(clean.setup.tilt, abs=0.01)
     assert fit.roughness == pytest.approx(clean.roughness, abs=0.02)
-    assert fit.diffuse[0] / fit.diffuse[2] == pytest.approx(
-        clean.diffuse[0] / clean.diffuse[2], rel=0.02
-    )
+    hue, clean_hue = (one.diffuse[0] / one.diffuse[2] for one in (fit, clean))
+    assert hue == pytest.approx(clean_hue, rel=0.02)
 
 
 def test_the_plane_knows_what_is_left_out_and_lights_its_mirror(photo, tmp_path):

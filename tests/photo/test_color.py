@@ -84,8 +84,7 @@ def test_agrees_with_littlecms(codes, curve):
     )
     ours = 255 * srgb_encode(linearise(muted).astype(np.float64))
     inside = (ours > 1).all(-1) & (ours < 254).all(-1)
-    assert inside.mean() > 0.5
-    assert np.abs(ours - np.asarray(answer))[inside].max() < 1.6
+    assert inside.mean() > 0.5 and np.abs(ours - np.asarray(answer))[inside].max() < 1.6
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
@@ -144,8 +143,7 @@ def test_wide_gamut_is_kept_and_never_negative(photo_of):
     photo = photo_of(picture, "red.png", icc_profile=matrix_profile())
     expected = srgb_decode(np.array(240 / 255)) * P3_TO_REC709[0, 0]
     np.testing.assert_allclose(photo.pixels[..., 0], expected, rtol=1e-3)
-    assert expected > 1.0 and photo.pixels.min() == 0.0
-    assert not photo.clipped.any()
+    assert expected > 1.0 and photo.pixels.min() == 0.0 and not photo.clipped.any()
 
 
 PICTURE = np.linspace(0.0, 1.0, 160 * 120 * 3).reshape(120, 160, 3)
@@ -180,8 +178,7 @@ def test_coded_pictures_have_a_curve_and_floating_point_ones_none(tmp_path, name
     photo = load_photo(tmp_path / name)
     assert photo.tone_mapped == mapped
     undone = photo.linearised(ToneCurve(1.2, SHOULDER))
-    assert not undone.tone_mapped
-    assert np.array_equal(undone.pixels, photo.pixels) == (not mapped)
+    assert not undone.tone_mapped and np.array_equal(undone.pixels, photo.pixels) == (not mapped)
     assert np.array_equal(undone.clipped, photo.clipped)
 
 
@@ -293,9 +290,8 @@ def test_calibration_and_analog_balance_are_the_camera_s_own():
     stated = tags(color_matrix(MIXING), own1=own, balance=gains, white=D65)
     expected = np.diag(gains) @ own @ color_matrix(MIXING) @ xyz(D65)
     np.testing.assert_allclose(dng_color(stated).neutral, expected / expected.max(), rtol=1e-5)
-    stated[50931] = SimpleNamespace(
-        value="another calibration", dtype=2
-    )  # which the profile's matrices are not for
+    # Which the profile's matrices are not for.
+    stated[50931] = SimpleNamespace(value="another calibration", dtype=2)
     expected = np.diag(gains) @ color_matrix(MIXING) @ xyz(D65)
     np.testing.assert_allclose(dng_color(stated).neutral, expected / expected.max(), rtol=1e-5)
 

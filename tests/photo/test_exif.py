@@ -144,8 +144,7 @@ def test_exif_orientation_overrides_xmp(tmp_path, codes):
 def test_a_file_without_exif_is_read(tmp_path, codes):
     path = tmp_path / "a.jpg"
     Image.fromarray(codes).save(path)
-    assert read_exif(path) == Exif()
-    assert load_photo(path).flash_fired is None
+    assert read_exif(path) == Exif() and load_photo(path).flash_fired is None
 
 
 @pytest.mark.parametrize("form", ["jpg", "png", "tif"])
@@ -212,9 +211,7 @@ def test_exif_behind_other_segments(tmp_path, codes, before):
     data = path.read_bytes()
     path.write_bytes(data[:2] + b"".join(before) + data[2:])
     found = read_exif(path)
-    assert found.orientation == 6
-    assert found.film_focal_length == 28.0
-    assert found.flash_fired is True
+    assert found.orientation == 6 and found.film_focal_length == 28.0 and found.flash_fired is True
 
 
 def test_a_file_without_exif_prints_nothing(tmp_path):

@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from gain_map_files import apple_xmp, exif, hdrgm, iso, jpeg, maker_note, write
@@ -13,7 +14,7 @@ from icc_files import matrix_profile, parametric
 
 from matcap.files.color import rec709_decode, srgb_decode
 from matcap.files.pixels import Pixels, upright
-from matcap.photo.hdr_gain_map import of_heic, of_jpeg
+from matcap.photo.hdr_gain_map import HdrGainMap, of_heic, of_jpeg
 from matcap.photo.load import load_photo
 
 LOW, HIGH, GAMMA, BASE_OFFSET, OFFSET = -0.3, 2.2, 1.5, 1 / 64, 1 / 32
@@ -97,8 +98,7 @@ def test_a_gain_map_of_apple_is_applied(tmp_path, codes, gains, smaller, note, h
     photo = load_photo(path)
     share = rec709_decode(gains / 255.0)[..., None]
     light = srgb_decode(codes / 255.0) * (1.0 + (headroom - 1.0) * share)
-    assert agrees(photo.pixels, light, 0.05)
-    assert photo.headroom == pytest.approx(headroom, rel=1e-3)
+    assert agrees(photo.pixels, light, 0.05) and photo.headroom == pytest.approx(headroom, rel=1e-3)
 
 
 def test_a_gain_map_of_apple_may_have_a_profile(tmp_path, codes, gains):
@@ -162,8 +162,7 @@ def test_a_map_that_cannot_be_used_is_left_out(tmp_path, codes, gains, pictures,
     path = write(tmp_path / "b.jpg", jpeg(codes, [hdrgm()]), *pictures(gains))
     photo = load_photo(path)
     np.testing.assert_array_equal(photo.pixels, plain.pixels)
-    assert photo.headroom == 1.0
-    assert "was not applied" in photo.notes[0] and says in photo.notes[0]
+    assert photo.headroom == 1.0 and "was not applied" in photo.notes[0] and says in photo.notes[0]
 
 
 def test_damaged_bytes_raise_nothing_else(codes, gains):
@@ -209,3 +208,23 @@ def test_agrees_with_libultrahdr(tmp_path, codes):
     lit = theirs[..., :3].min(axis=2) > 0.02
     # libultrahdr samples its smaller map half a texel aside.
     assert np.median(error[lit]) < 0.01 and np.quantile(error[lit], 0.9) < 0.02
+
+
+def test_steps_of_a_smooth_map_are_undone_and_its_edges_kept():
+    """Codes of a percent of light and more banded glaze; bilinear ones were rounded again."""
+    across = np.linspace(20.2, 60.7, 64)
+    true = np.tile(across, (48, 1))
+    true[20:30, 30:40] += 90.0
+    stored = np.rint(true).astype(np.uint8)[..., None]
+    gains = np.exp2(4.0 * np.arange(256) / 255.0).astype(np.float32)[:, None]
+    none = np.zeros(1, np.float32)
+    gain_map = HdrGainMap(stored, gains, none, none)
+    base = np.ones((192, 256, 3), np.float32)
+    light, full = gain_map.resized(256, 192).light(base, slice(0, 192))
+    assert light.shape == base.shape and light.dtype == np.float32 and not full.any()
+    codes = 255.0 / 4.0 * np.log2(light[..., 0])
+    expected = cv2.resize(true, (256, 192), interpolation=cv2.INTER_LINEAR)
+    smooth = np.zeros(codes.shape, bool)
+    smooth[16:56, 16:-16] = True
+    assert np.abs(codes - expected)[smooth].max() < 0.3
+    assert np.abs(codes - expected)[80:120].max() < 0.6

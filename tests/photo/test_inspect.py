@@ -42,12 +42,12 @@ SETUPS = [
 NAMES = ["leather", "cloth", "granite", "rust"]
 
 
-def flat(roughness: float):
+def flat(roughness: float, albedo: float = 0.25, f0: float = 0.04):
     """A uniform material: what the hot spot would be without texture."""
 
     def realise(width, height, texel):
         one = torch.ones(1, height, width, dtype=torch.float64)
-        return MapSet(0.25 * one.expand(3, -1, -1), 0.04 * one, roughness * one, 0.0 * one, texel)
+        return MapSet(albedo * one.expand(3, -1, -1), f0 * one, roughness * one, 0.0 * one, texel)
 
     return realise
 
@@ -114,8 +114,7 @@ def photo_of(pixels: np.ndarray, **changes):
 
 def test_a_good_photograph_is_called_good():
     found = inspect_photo(photo_of(grey(), radiometric=True, flash_fired=True), (0.01, 0.0))
-    assert found.rating.fit
-    assert found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
+    assert found.rating.fit and found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
 
 
 def test_a_flat_grey_is_not_called_sharp():
@@ -139,8 +138,7 @@ def test_a_flat_grey_is_not_called_sharp():
 )
 def test_the_tilt_is_in_directions_of_the_upright_picture(tilt, turned, side):
     finding = inspect_photo(photo_of(grey(), turned=turned), tilt)["tilt"]
-    assert finding.rating is not Rating.GOOD
-    assert side in finding.says and side in finding.remedy
+    assert finding.rating is not Rating.GOOD and side in finding.says and side in finding.remedy
 
 
 def test_the_hot_spot_of_a_portrait_is_in_upright_coordinates(tmp_path):
@@ -151,8 +149,7 @@ def test_the_hot_spot_of_a_portrait_is_in_upright_coordinates(tmp_path):
     cv2.imwrite(str(tmp_path / "standing.png"), (standing * 255).astype(np.uint8))
     lying = inspect_photo(load_photo(tmp_path / "lying.png"))["hot_spot"].value
     stood = inspect_photo(load_photo(tmp_path / "standing.png"))["hot_spot"].value
-    assert stood == pytest.approx([1.0 - lying[1], lying[0]], abs=0.01)
-    assert stood[1] > 0.6
+    assert stood == pytest.approx([1.0 - lying[1], lying[0]], abs=0.01) and stood[1] > 0.6
 
 
 def test_every_fault_has_a_remedy():
@@ -189,8 +186,7 @@ def test_two_materials_in_one_picture_are_not_uniform(shots):
     mixed = one.pixels.copy()
     mixed[:, 160:] = other.pixels[:, 160:] * one.pixels.mean() / other.pixels.mean()
     whole, half = (inspect_photo(p)["stationarity"] for p in (one, replace(one, pixels=mixed)))
-    assert whole.rating is Rating.GOOD
-    assert half.rating in (Rating.DOUBTFUL, Rating.FAILED)
+    assert whole.rating is Rating.GOOD and half.rating in (Rating.DOUBTFUL, Rating.FAILED)
     assert half.value > 2.0 * whole.value
 
 
@@ -201,8 +197,7 @@ def test_the_darkest_channel_of_a_saturated_jpeg_makes_no_parts():
     green = np.maximum(0.003 * patches / patches.std(), 0.0)[..., None]
     blue = light * np.concatenate([np.full_like(green, 0.02), green, np.full_like(green, 0.3)], 2)
     found = inspect_photo(photo_of(blue))
-    assert found["subject"].rating is Rating.GOOD
-    assert found["stationarity"].rating is Rating.GOOD
+    assert found["subject"].rating is Rating.GOOD and found["stationarity"].rating is Rating.GOOD
 
 
 def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, capsys):
@@ -211,11 +206,9 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     code = main(["inspect", str(tmp_path / "a.dng"), str(tmp_path / "b.jpg"), "--json"])
     said = capsys.readouterr()
     good, bad = json.loads(said.out)["photographs"]
-    assert code == 4
-    assert good["radiometric"]["value"] is True
-    assert (
-        "the flash fired" in good["flash"]["message"] and abs(good["tilt"]["value"]["degrees"]) < 8
-    )
+    assert code == 4 and good["radiometric"]["value"] is True
+    assert "the flash fired" in good["flash"]["message"]
+    assert abs(good["tilt"]["value"]["degrees"]) < 8
     assert "truncated or damaged" in bad["reason"]
     assert main(["inspect", str(tmp_path / "b.jpg")]) == 3
 
@@ -226,8 +219,7 @@ def test_notes_of_reading_are_findings():
     notes = ("The file carries an HDR gain map, which was not applied.", "Daylight assumed.")
     found = inspect_photo(replace(photo_of(grey(), flash_fired=True), notes=notes))
     assert (found["reading"].value, found["reading"].rating) == ([*notes], Rating.NOT_JUDGED)
-    assert "switch HDR off" in found["reading"].remedy
-    assert found.rating is plain.rating
+    assert "switch HDR off" in found["reading"].remedy and found.rating is plain.rating
 
 
 def test_an_assumed_field_of_view_is_a_finding(tmp_path, codes):
@@ -281,16 +273,12 @@ def card_maps(width, height, texel):
     """The page lying on a grey table, its long side along x."""
     page = srgb_decode(np.rot90(raster(4.0)) / 255.0)
     albedo = np.full((height, width, 3), 0.3)
-    column = ((np.arange(width) + 0.5 - width / 2) * texel * UNIT * 4 + page.shape[1] / 2).astype(
-        int
+    row, column = (
+        ((np.arange(side) + 0.5 - side / 2) * texel * UNIT * 4 + pixels / 2).astype(int)
+        for side, pixels in ((height, page.shape[0]), (width, page.shape[1]))
     )
-    row = ((np.arange(height) + 0.5 - height / 2) * texel * UNIT * 4 + page.shape[0] / 2).astype(
-        int
-    )
-    inside = np.ix_((row >= 0) & (row < page.shape[0]), (column >= 0) & (column < page.shape[1]))
-    albedo[inside] = page[row.clip(0, page.shape[0] - 1)][:, column.clip(0, page.shape[1] - 1)][
-        inside
-    ]
+    inside = [(at >= 0) & (at < side) for at, side in zip((row, column), page.shape, strict=False)]
+    albedo[np.ix_(*inside)] = page[np.ix_(row[inside[0]], column[inside[1]])]
     one = torch.ones(1, height, width, dtype=torch.float64)
     return MapSet(torch.from_numpy(albedo).permute(2, 0, 1), 0.01 * one, 0.9 * one, 0 * one, texel)
 
@@ -332,13 +320,8 @@ def test_a_jpeg_gives_scale_and_no_colours(shot, tmp_path):
 
 def test_albedo_becomes_absolute(calibration, tmp_path):
     """A grey card of known albedo, whose brightness alone cannot tell it from a dim flash."""
-
-    def grey(width, height, texel):
-        one = torch.ones(1, height, width, dtype=torch.float64)
-        return MapSet(0.09 * one.expand(3, -1, -1), 0.03 * one, 0.7 * one, 0 * one, texel)
-
     camera = replace(CARD_CAMERA, width=128, height=96, brightness=0.4)
-    shot = take(grey, camera, FlashSetup(offset=(0.08, 0.05, 0.0)))
+    shot = take(flat(0.7, 0.09, 0.03), camera, FlashSetup(offset=(0.08, 0.05, 0.0)))
     path = tmp_path / "grey.dng"
     # The same flash and exposure as the card's photograph, whatever the brightness comes to.
     gain = math.pi * shot.setup.distance**2 * calibration.white / shot.setup.intensity[0]
@@ -388,15 +371,10 @@ def stops(advice: str) -> int:
 
 @pytest.mark.parametrize("merged", [False, True])
 def test_the_brighter_the_highlight_the_darker_the_exposure(merged):
-    advised = [
-        stops(_darker(fit(intensity), 1.0, merged)) for intensity in (0.01, 0.3, 1.0, 4.0, 1000.0)
-    ]
-    assert (
-        advised == sorted(advised)
-        and advised[0] == 2
-        and advised[-1] == 6
-        and len(set(advised)) >= 3
-    )
+    intensities = (0.01, 0.3, 1.0, 4.0, 1000.0)
+    advised = [stops(_darker(fit(intensity), 1.0, merged)) for intensity in intensities]
+    assert advised == sorted(advised) and len(set(advised)) >= 3
+    assert (advised[0], advised[-1]) == (2, 6)
     assert stops(_darker(fit(4.0), 4.0, merged)) == stops(_darker(fit(1.0), 1.0, merged))
 
 

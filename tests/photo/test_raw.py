@@ -3,13 +3,20 @@
 import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import tifffile
-from simulated.files import BLACK, WHITE, color_matrix, gain_map, mosaic, opcode_list, write_dng
+from simulated.files import (
+    BLACK,
+    WHITE,
+    beside_preview,
+    color_matrix,
+    gain_map,
+    mosaic,
+    opcode_list,
+    write_dng,
+)
 
 from matcap.errors import MatcapError
 from matcap.photo.load import load_photo
@@ -29,8 +36,7 @@ def test_decoded_values_are_proportional_to_light(tmp_path):
     measured = photo.pixels[:, 8::16].mean(axis=0)
     for channel in range(3):
         slope, offset = np.polyfit(levels, measured[:, channel], 1)
-        assert slope == pytest.approx(1.0, abs=1e-3)
-        assert offset == pytest.approx(0.0, abs=3e-4)
+        assert slope == pytest.approx(1.0, abs=1e-3) and offset == pytest.approx(0.0, abs=3e-4)
     assert photo.radiometric
 
 
@@ -105,8 +111,7 @@ def test_channels_clip_at_the_level_that_white_balance_gives_them(tmp_path):
     light[:, :64, 0] = 0.498
     light[:, 64:, 0] = 0.4
     photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), neutral=(0.5, 1.0, 1.0)))
-    assert photo.clipped[:, :62].all()
-    assert not photo.clipped[:, 66:].any()
+    assert photo.clipped[:, :62].all() and not photo.clipped[:, 66:].any()
     assert photo.pixels.max() <= 1.0
 
 
@@ -167,20 +172,19 @@ print("and again", file=sys.stderr)
 """
 
 
-def test_only_the_output_of_decoders_is_silenced():
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True
-    )
-    assert done.stderr == "progress\nafter\nand again\n"
+WITHOUT_STDERR = """
+import os; os.close(2)
+from matcap.files.process import quiet_decoders
+with quiet_decoders(): print('read')
+"""
 
 
-def test_a_process_without_stderr_reads_raws():
-    script = "import os; os.close(2)\nfrom matcap.files.process import quiet_decoders\n"
-    script += "with quiet_decoders(): print('read')"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "read\n"
+def test_only_the_output_of_decoders_is_silenced_and_stderr_may_be_closed():
+    said = [
+        subprocess.run([sys.executable, "-c", one], capture_output=True, text=True, check=True)
+        for one in (SCRIPT, WITHOUT_STDERR)
+    ]
+    assert said[0].stderr == "progress\nafter\nand again\n" and said[1].stdout == "read\n"
 
 
 # The sensor's noise: found where it is known, drawn again as it was drawn first.
@@ -251,23 +255,20 @@ def test_black_levels_may_differ_by_place():
     assert found.shot == pytest.approx(2.0, rel=0.12)
 
 
-@pytest.mark.parametrize("size", [(16, 16), (63, 65), (2, 2)])
-def test_too_few_pixels_give_no_noise_estimate(size):
-    assert find_noise(np.full(size, 900, np.uint16), LEVELS, WHITE) is None
-
-
-def test_an_overexposed_picture_gives_no_noise_estimate():
-    assert find_noise(np.full((512, 512), WHITE, np.uint16), LEVELS, WHITE) is None
+@pytest.mark.parametrize(
+    ("size", "level"), [((16, 16), 900), ((63, 65), 900), ((2, 2), 900), ((512, 512), WHITE)]
+)
+def test_too_few_or_overexposed_pixels_give_no_noise_estimate(size, level):
+    assert find_noise(np.full(size, level, np.uint16), LEVELS, WHITE) is None
 
 
 @pytest.mark.parametrize("long_side", [800, 300])
 def test_drawn_noise_has_the_spectrum_of_the_real_noise(tmp_path, long_side):
     """Through demosaicing, white balance and shrinking, whole and two by two."""
     true = numbers_of(2000.0, 3.0)
-    neutral = (0.5, 1.0, 0.6)
-    light = falloff() * neutral
-    clean = write_dng(tmp_path / "clean.dng", mosaic(light), neutral=neutral)
-    dirty = write_dng(tmp_path / "dirty.dng", noisy(light, true), neutral=neutral)
+    light = falloff() * NEUTRAL
+    clean = write_dng(tmp_path / "clean.dng", mosaic(light), neutral=NEUTRAL)
+    dirty = write_dng(tmp_path / "dirty.dng", noisy(light, true), neutral=NEUTRAL)
     photo = load_photo(dirty, long_side=long_side)
     real = photo.pixels - load_photo(clean, long_side=long_side, noise=False).pixels
     assert photo.noise.shape == photo.pixels.shape
@@ -360,26 +361,11 @@ def test_the_uncompressed_copy_has_the_same_samples(tmp_path, light, planes, byt
 def test_the_raw_picture_may_lie_beside_a_preview(tmp_path, light):
     samples = stored(light, 1)
 
-    def write(path: Path, **options) -> Path:
-        whole = write_dng(tmp_path / "tags.dng", samples)
-        with tifffile.TiffFile(whole) as file:
-            tags = [
-                (tag.code, tag.dtype, tag.count, tag.value, True)
-                for tag in file.pages.first.tags
-                if tag.code >= 33000
-            ]
-        first = [tag for tag in tags if tag[0] in (50706, 50707, 50708, 50721, 50728, 50778)]
-        rest = [tag for tag in tags if tag not in first]
-        with tifffile.TiffWriter(path) as out:
-            preview = np.zeros((16, 24, 3), np.uint8)
-            about = {"metadata": None, "software": False}
-            out.write(preview, photometric="rgb", subifds=1, extratags=first, **about)
-            out.write(samples, photometric=32803, extratags=rest, **about, **options)
-        return path
-
-    packed = write(tmp_path / "packed.dng", **TILED)
+    whole = write_dng(tmp_path / "tags.dng", samples)
+    packed = beside_preview(whole, tmp_path / "packed.dng", samples, 1, **TILED)
     packed.write_bytes(plain_dng(packed, None))
-    same(load_photo(packed), load_photo(write(tmp_path / "plain.dng")))
+    plain = beside_preview(whole, tmp_path / "plain.dng", samples, 1)
+    same(load_photo(packed), load_photo(plain))
 
 
 @pytest.mark.parametrize("planes", [1, 3])
@@ -445,10 +431,8 @@ def test_gains_follow_the_standard(grid):
 def test_maps_touch_only_their_photosites():
     """Phones write a map for each place in the two by two."""
     flats = [np.full((1, 1, 1), gain) for gain in (1.5, 2.0, 3.0, 4.0)]
-    opcodes = [
-        gain_map(flat, SIZE, offset=place, pitch=2)
-        for flat, place in zip(flats, PLACES, strict=True)
-    ]
+    both = zip(flats, PLACES, strict=True)
+    opcodes = [gain_map(flat, SIZE, offset=place, pitch=2) for flat, place in both]
     maps = parse_opcodes(opcode_list(*opcodes)).gain_maps
     gains = Shading(maps, SIZE, SIZE).gains(0, 96, 1)[..., 0]
     np.testing.assert_array_equal(gains[:2, :2], [[1.5, 2.0], [3.0, 4.0]])
@@ -458,20 +442,16 @@ def test_maps_touch_only_their_photosites():
 @pytest.mark.parametrize("long_side", [None, 64])
 def test_flat_field_comes_out_flat(tmp_path, grid, long_side):
     """A grey wall behind a lens with falloff; also where the gains lift it past the white level."""
-    maps = parse_opcodes(opcode_list(gain_map(grid, SIZE))).gain_maps
-    falloff = 1.0 / Shading(maps, SIZE, SIZE).gains(0, 96, 1)
-    neutral = (0.5, 1.0, 0.6)
-    samples = mosaic(0.9 * falloff * neutral)
-    path = write_dng(
-        tmp_path / "a.dng", samples, neutral=neutral, opcodes2=opcode_list(gain_map(grid, SIZE))
-    )
+    opcodes = opcode_list(gain_map(grid, SIZE))
+    falloff = 1.0 / Shading(parse_opcodes(opcodes).gain_maps, SIZE, SIZE).gains(0, 96, 1)
+    samples = mosaic(0.9 * falloff * NEUTRAL)
+    path = write_dng(tmp_path / "a.dng", samples, neutral=NEUTRAL, opcodes2=opcodes)
     photo = load_photo(path, long_side=long_side)
     assert photo.gain_map_applied
     np.testing.assert_allclose(photo.pixels, 0.9, rtol=6e-3)
     assert photo.pixels.mean() == pytest.approx(0.9, rel=1e-3)
-    plain = load_photo(write_dng(tmp_path / "b.dng", samples, neutral=neutral))
-    assert not plain.gain_map_applied
-    assert plain.pixels.min() < 0.5
+    plain = load_photo(write_dng(tmp_path / "b.dng", samples, neutral=NEUTRAL))
+    assert not plain.gain_map_applied and plain.pixels.min() < 0.5
 
 
 def test_a_gain_map_by_photosite_applies_to_its_colour(tmp_path):
@@ -507,9 +487,8 @@ def test_gain_maps_after_demosaicing_are_applied(tmp_path, long_side):
     grid = (1.0 + 0.3 * x + 0.2 * y)[..., None]
     opcodes = opcode_list(gain_map(grid, SIZE, planes=3))
     light = 0.4 / Shading(parse_opcodes(opcodes).gain_maps, SIZE, SIZE).gains(0, 96, 3)
-    photo = load_photo(
-        write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcodes), long_side=long_side
-    )
+    path = write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcodes)
+    photo = load_photo(path, long_side=long_side)
     assert photo.gain_map_applied
     np.testing.assert_allclose(photo.pixels[1:-1, 1:-1], 0.4, rtol=1e-2)
 
@@ -517,9 +496,8 @@ def test_gain_maps_after_demosaicing_are_applied(tmp_path, long_side):
 def test_gain_maps_after_demosaicing_apply_by_colour_and_above_white(tmp_path):
     gains = np.array([2.0, 1.5, 1.6])
     opcodes = opcode_list(gain_map(np.tile(gains, (2, 2, 1)), SIZE, planes=3))
-    path = write_dng(
-        tmp_path / "a.dng", mosaic(np.ones((*SIZE, 3)) * 1.2 / gains), opcodes3=opcodes
-    )
+    samples = mosaic(np.ones((*SIZE, 3)) * 1.2 / gains)
+    path = write_dng(tmp_path / "a.dng", samples, opcodes3=opcodes)
     for long_side in (None, 64):
         photo = load_photo(path, long_side=long_side)
         np.testing.assert_allclose(photo.pixels, 1.2, rtol=2e-3)

@@ -5,8 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-import tifffile
-from simulated.files import gain_map, mosaic, opcode_list, rationals, write_dng
+from simulated.files import beside_preview, gain_map, mosaic, opcode_list, rationals, write_dng
 
 from matcap.errors import MatcapError
 from matcap.photo.load import load_photo
@@ -30,14 +29,8 @@ def test_black_by_place_counts_from_the_active_area(tmp_path, corner):
     stored = np.zeros((SIZE[0] + top, SIZE[1] + left), np.uint16)
     stored[top:, left:] = np.rint(active)
     more = [(50713, 3, 2, (2, 2), True), (50714, 3, 4, tuple(black.ravel()), True)]
-    path = write_dng(
-        tmp_path / "a.dng",
-        stored,
-        more=more,
-        black=None,
-        white=4095,
-        active_area=(top, left, SIZE[0] + top, SIZE[1] + left),
-    )
+    area = (top, left, SIZE[0] + top, SIZE[1] + left)
+    path = write_dng(tmp_path / "a.dng", stored, more=more, black=None, active_area=area)
     np.testing.assert_allclose(means(path), GREY, rtol=0.03)
 
 
@@ -58,9 +51,8 @@ def test_black_levels_by_row_and_column_are_subtracted(tmp_path):
 def test_levels_by_plane_are_applied(tmp_path):
     black, white = np.array((100, 200, 300)), np.array((4000, 3000, 2000))
     stored = np.rint(black + GREY * (white - black)) * np.ones((*SIZE, 3))
-    path = write_dng(
-        tmp_path / "a.dng", stored.astype(np.uint16), black=tuple(black), white=tuple(white)
-    )
+    levels = {"black": tuple(black), "white": tuple(white)}
+    path = write_dng(tmp_path / "a.dng", stored.astype(np.uint16), **levels)
     np.testing.assert_allclose(means(path), GREY, rtol=0.01)
 
 
@@ -83,16 +75,9 @@ def test_lossy_codes_are_linearised_by_the_file(tmp_path, light, table):
     codes = np.rint(255 * (np.sqrt(light) if table else light)).astype(np.uint8)
     square = np.rint(65535 * (np.arange(256) / 255) ** 2).astype(int)
     more = [(50712, 3, 256, tuple(square), True)] if table else []
-    path = write_dng(
-        tmp_path / "a.dng",
-        codes,
-        more=more,
-        black=0,
-        white=65535 if table else 255,
-        compression=34892,
-        tile=(96, 128),
-        compressionargs={"level": 100},
-    )
+    lossy = {"compression": 34892, "tile": SIZE, "compressionargs": {"level": 100}}
+    white = 65535 if table else 255
+    path = write_dng(tmp_path / "a.dng", codes, more=more, black=0, white=white, **lossy)
     np.testing.assert_allclose(load_photo(path, noise=False).pixels, light, atol=0.02)
 
 
@@ -155,31 +140,14 @@ def test_a_user_s_crop_narrows_the_field_of_view(tmp_path, light):
     assert reach == pytest.approx(64 / 96)
     corner = user_crop(0.0, 0.0, 0.75, 0.75)
     photo = load_photo(write_dng(tmp_path / "c.dng", mosaic(light), more=[*more, corner]))
-    assert photo.original_size == (96, 64)
-    assert not any("off centre" in note for note in plain.notes)
+    assert photo.original_size == (96, 64) and not any("off centre" in note for note in plain.notes)
 
 
 @pytest.mark.parametrize("first", [1, 3, 8])
 def test_orientation_is_the_first_directory_s(tmp_path, light, first):
     """Viewers turn a DNG there; its raw picture's own orientation is no statement."""
     raw = write_dng(tmp_path / "raw.dng", mosaic(light), orientation=6)
-    with tifffile.TiffFile(raw) as file:
-        tags = [
-            (tag.code, int(tag.dtype), tag.count, tag.value, True)
-            for tag in file.pages.first.tags
-            if tag.code > 33000 or tag.code == 274
-        ]
-    of_file = [tag for tag in tags if tag[0] in (50706, 50707, 50708, 50721, 50728, 50778)]
-    of_raw = [tag for tag in tags if tag not in of_file]
-    path = tmp_path / "a.dng"
-    with tifffile.TiffWriter(path) as file:
-        preview = np.zeros((24, 32, 3), np.uint8)
-        orientation = (274, 3, 1, first, True)
-        file.write(
-            preview, photometric="rgb", subifds=1, subfiletype=1, metadata=None,
-            extratags=[*of_file, orientation],
-        )  # fmt: skip
-        file.write(mosaic(light), photometric=32803, metadata=None, extratags=of_raw)
+    path = beside_preview(raw, tmp_path / "a.dng", mosaic(light), first)
     photo = load_photo(path, noise=False)
     assert photo.turned == (first == 8)
     mean = photo.pixels[4:-4, 4:-4].mean(axis=2)
@@ -189,16 +157,11 @@ def test_orientation_is_the_first_directory_s(tmp_path, light, first):
 
 def test_exif_in_the_first_directory(tmp_path, light):
     more = [
-        (33434, 5, 1, (1, 100), True),
-        (33437, 5, 1, (18, 10), True),
-        (34855, 3, 1, 100, True),
-        (37385, 3, 1, 1, True),
-        (37386, 5, 1, (45, 10), True),
-        (41989, 3, 1, 18, True),
-    ]
+        (33434, 5, 1, (1, 100), True), (33437, 5, 1, (18, 10), True), (34855, 3, 1, 100, True),
+        (37385, 3, 1, 1, True), (37386, 5, 1, (45, 10), True), (41989, 3, 1, 18, True),
+    ]  # fmt: skip
     photo = load_photo(write_dng(tmp_path / "a.dng", mosaic(light), more=more), noise=False)
-    assert photo.fov == pytest.approx(87.7, abs=0.1)
-    assert photo.flash_fired is True
+    assert photo.fov == pytest.approx(87.7, abs=0.1) and photo.flash_fired is True
     assert photo.exposure == pytest.approx(0.01 * 100 / 1.8**2)
 
 
@@ -212,15 +175,8 @@ def test_levels_crop_and_shading_together(tmp_path, light):
     stored = np.zeros((SIZE[0] + 1, SIZE[1] + 1), np.uint16)
     stored[1:, 1:] = np.rint(black[rows % 2, columns % 2] + shaded * (4095 - 220))
     more = [(50713, 3, 2, (2, 2), True), (50714, 3, 4, tuple(black.ravel()), True), *CROP]
-    path = write_dng(
-        tmp_path / "a.dng",
-        stored,
-        more=more,
-        black=None,
-        white=4095,
-        active_area=(1, 1, SIZE[0] + 1, SIZE[1] + 1),
-        opcodes2=opcode_list(gain_map(gains, SIZE)),
-    )
+    options = {"active_area": (1, 1, 97, 129), "opcodes2": opcode_list(gain_map(gains, SIZE))}
+    path = write_dng(tmp_path / "a.dng", stored, more=more, black=None, **options)
     photo = load_photo(path, noise=False)
     assert photo.gain_map_applied
     np.testing.assert_allclose(photo.pixels[4:-4, 4:-4], light[12:68, 20:108], atol=0.01)

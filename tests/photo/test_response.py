@@ -44,8 +44,7 @@ def test_metadata_that_no_curve_explains_is_ignored(stated):
 
 def test_linear_pictures_have_no_curve():
     ratio = fit_ratio(LIGHT, noisy(LIGHT / 16.0, 0.1), (LINEAR, LINEAR), 1 / 4)
-    assert ratio.curve is None
-    assert ratio.darker == pytest.approx(1 / 16, rel=0.01)
+    assert ratio.curve is None and ratio.darker == pytest.approx(1 / 16, rel=0.01)
 
 
 @pytest.mark.parametrize("brighter_is_coded", [True, False])
@@ -62,6 +61,22 @@ def test_a_linear_picture_measures_the_others_curve(brighter_is_coded):
     # The unit of the coded one is its own white: the ratio is of light by the fitted curve.
     expected = k / np.median(again) if brighter_is_coded else k * np.median(again)
     assert ratio.darker == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("curve", [(1.0, 0.0), (1.13, 0.27), (1.3, 0.57), (1.05, 0.78)])
+@pytest.mark.parametrize("stops", [1, 2, 4])
+def test_a_stated_ratio_decides_what_a_darker_jpeg_and_light_leave_open(stops, curve):
+    """Tones alone give 1.4 to 1.7 stops of two by a strong shoulder: a weaker one fits as well."""
+    tone, k = ToneCurve(*curve), 2.0**-stops
+    values = LIGHT, noisy(tone.developed(k * LIGHT))
+    ratio = fit_ratio(*values, (LINEAR, CODED), k)
+    assert math.log2(ratio.darker / k) == pytest.approx(0.0, abs=0.2)
+    again = ratio.curve.linear(values[1]) / LIGHT
+    assert np.std(np.log(again)) < 0.05
+    # A wrong one is outvoted by tones where these tell: a JPEG brighter than the light.
+    values = tone.developed(LIGHT), noisy(k * LIGHT)
+    ratio = fit_ratio(*values, (CODED, LINEAR), 0.7 * k)
+    assert math.log2(ratio.darker / k) == pytest.approx(0.0, abs=0.2)
 
 
 def test_gain_maps_have_no_shoulder():

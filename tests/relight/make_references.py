@@ -24,14 +24,7 @@ mi.set_variant("scalar_rgb")
 from reference_scenes import FILM, LIGHTS, LOW, SKY_SIZE, embossed_maps, flat_maps  # noqa: E402
 
 from matcap.files.exr import write_exr  # noqa: E402
-from matcap.relight.scene import (  # noqa: E402
-    Camera,
-    DirectionalLight,
-    EnvironmentLight,
-    PointLight,
-    RectangleLight,
-    SphereLight,
-)
+from matcap.relight.scene import Camera, DirectionalLight, PointLight, RectangleLight, SphereLight  # noqa: E402
 
 FOLDER = Path(__file__).parent / "references"
 SAMPLES = {"point": 1, "directional": 1, "sphere": 8192, "rectangle": 8192, "sky": 16384}
@@ -250,7 +243,7 @@ def mitsuba_sensor(camera, film):
 
 
 def mitsuba_light(light):
-    """Mitsuba's description of a light; surroundings are those of one radiance."""
+    """Mitsuba's description of a light."""
 
     def rgb(colour):
         return {"type": "rgb", "value": list(colour)}
@@ -261,8 +254,6 @@ def mitsuba_light(light):
     if isinstance(light, DirectionalLight):
         direction = [-c for c in light.direction]
         return {"type": "directional", "direction": direction, "irradiance": rgb(light.irradiance)}
-    if isinstance(light, EnvironmentLight):
-        return {"type": "constant", "radiance": rgb(light.radiance)}
     shining = {"type": "area", "radiance": rgb(light.radiance)}
     if isinstance(light, SphereLight):
         centre = list(light.position)

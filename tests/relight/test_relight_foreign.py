@@ -138,8 +138,7 @@ def test_packed_maps_and_smaller_ones(tmp_path, maps):
 def test_a_height_or_a_colour_alone_is_a_map_set(tmp_path, maps):
     publish(maps, tmp_path, AMBIENTCG, ["base", "height"])
     found = read_foreign(tmp_path)
-    assert np.ptp(found.texture.height) == pytest.approx(0.04, rel=1e-3)
-    assert len(found.notes) == 2
+    assert np.ptp(found.texture.height) == pytest.approx(0.04, rel=1e-3) and len(found.notes) == 2
     (tmp_path / AMBIENTCG["height"]).unlink()
     assert not read_foreign(tmp_path).texture.height.any()
 
@@ -443,8 +442,7 @@ def test_exports_are_read_back(tmp_path, target):
     np.testing.assert_allclose(found.specular.mean(0), whole.specular[0], atol=0.02)
     np.testing.assert_allclose(found.slopes, whole.slopes, atol=0.02)
     np.testing.assert_allclose(found.height, whole.height, atol=1e-4)
-    assert found.texel_size == pytest.approx(whole.texel_size)
-    assert found.periodic == whole.periodic
+    assert found.texel_size == pytest.approx(whole.texel_size) and found.periodic == whole.periodic
 
 
 @pytest.mark.parametrize("container", ["jpg", "exr"])

@@ -143,8 +143,7 @@ def test_compiled_shadows_equal_the_plain_ones(relief, far):
     distance = None if far else generator.uniform(0.05, 1.0, u.shape).astype(np.float32)
     expected = plain.shadows.lit(relief, (u, v), height, towards, distance)
     found = loop_calls.lit(relief, (u, v), height, towards, distance)
-    assert 0.1 < expected.mean() < 0.9
-    assert (found != expected).mean() <= 1e-3
+    assert 0.1 < expected.mean() < 0.9 and (found != expected).mean() <= 1e-3
 
 
 @pytest.mark.parametrize("endless", [False, True])
@@ -161,8 +160,7 @@ def test_no_ray_is_hidden_above_a_clear_tangent(relief, endless):
         towards = loop_calls.unit((np.cos(turn), np.sin(turn), share * tangent))
         towards = tuple(one.astype(np.float32) for one in towards)
         hidden.append(~loop_calls.lit(relief, (u, v), relief.at(u, v), towards, None))
-    assert not hidden[0].any()
-    assert hidden[1].mean() > 0.03
+    assert not hidden[0].any() and hidden[1].mean() > 0.03
 
 
 def test_compiled_heights_equal_the_plain_ones(relief):
@@ -244,8 +242,7 @@ def test_adaptively_sampled_area_lights_are_near_the_finest(relief, light):
         (chosen.vector_irradiance, plain.vector_irradiance),
     ):
         off = np.abs(found - expected).max(axis=0) / np.abs(expected).mean()
-        assert np.quantile(off, 0.9) <= 2e-3
-        assert off.max() <= 0.1
+        assert np.quantile(off, 0.9) <= 2e-3 and off.max() <= 0.1
 
 
 def test_a_light_too_large_for_rules_in_a_near_mirror_is_sampled(relief):

@@ -59,9 +59,8 @@ def lobe_albedo(mu, roughness):
     view = (math.sqrt(1.0 - mu * mu), 0.0, mu)
     to_light, solid = mirrored_rule(view, roughness**2)
     to_light = tuple(c.ravel() for c in (*to_light[:2], np.maximum(to_light[2], 1e-9)))
-    normal, to_view = (
-        tuple(np.full(solid.size, c) for c in one) for one in ((0.0, 0.0, 1.0), view)
-    )
+    up = (0.0, 0.0, 1.0)
+    normal, to_view = (tuple(np.full(solid.size, c) for c in one) for one in (up, view))
     lobe, weight = loop_calls.lobe(normal, to_view, to_light, np.full(solid.size, roughness**2))
     light = lobe * to_light[2] * solid.ravel()
     return ((1.0 - weight) * light).sum(), (weight * light).sum()
@@ -87,8 +86,7 @@ def tabulated(mu, roughness):
 @pytest.mark.parametrize("mu", [0.02, 0.1, 0.2, 0.5, 0.8, 1.0])
 def test_a_white_lobe_with_compensation_reflects_all_light(roughness, mu):
     single = sum(lobe_albedo(mu, roughness))
-    assert single <= 1.001
-    assert single == pytest.approx(tabulated(mu, roughness), abs=5e-3)
+    assert single <= 1.001 and single == pytest.approx(tabulated(mu, roughness), abs=5e-3)
     assert single + compensation(mu, roughness) == pytest.approx(1.0, abs=0.02)
 
 
@@ -128,9 +126,8 @@ def test_doubling_a_light_doubles_the_picture(light):
     maps = bumpy(24, 18, relief=0.1)
     one = Scene(Film(24, 18), None, Surface(), (light,))
     two = Scene(Film(24, 18), None, Surface(), (light, light))
-    np.testing.assert_allclose(
-        relight(maps, two, effects="all"), 2.0 * relight(maps, one, effects="all"), rtol=2e-5
-    )
+    single, double = (relight(maps, scene, effects="all") for scene in (one, two))
+    np.testing.assert_allclose(double, 2.0 * single, rtol=2e-5)
 
 
 def test_rectangle_light_irradiance_in_closed_form():
@@ -177,8 +174,7 @@ def test_the_shadow_of_a_wall_is_as_long_as_geometry_says():
         inside = (distance > 2.0 / 64) & (distance < 0.1 / tangent)
         # Beyond the wall's own foot and tip, where its slopes are.
         outside = (distance < -2.0 / 64) | (distance > 0.1 / tangent + 1e-6)
-        assert not lit[inside].any()
-        assert lit[outside].all()
+        assert not lit[inside].any() and lit[outside].all()
 
 
 def test_a_light_between_wall_and_point_is_not_shadowed():
@@ -204,8 +200,7 @@ def test_the_border_of_the_maps_casts_no_shadow():
     effects = "none,+diffuse,+shadows"
     repeating = relight(sawtooth(periodic=True), scene, effects=effects)[4, :, 0]
     piece = relight(sawtooth(periodic=False), scene, effects=effects)[4, :, 0]
-    assert not repeating[:5].any() and repeating[-5:].all()
-    assert piece.all()
+    assert not repeating[:5].any() and repeating[-5:].all() and piece.all()
     larger = Scene(scene.film, None, Surface(size=4.0), scene.lights)
     assert not relight(sawtooth(periodic=False), larger, effects=effects)[4].all()
 
@@ -218,16 +213,13 @@ def test_a_pixel_is_as_dark_as_its_shadow_is_large():
     def shadow(size):
         light = (DirectionalLight((1.0, 0.3, 0.8)),)
         scene = Scene(Film(size, size), None, Surface(size=None), light)
-        lit, free = (
-            relight(maps, scene, effects=f"none,+diffuse{more}")[..., 0]
-            for more in (",+shadows", "")
-        )
+        effects = ("none,+diffuse,+shadows", "none,+diffuse")
+        lit, free = (relight(maps, scene, effects=each)[..., 0] for each in effects)
         return np.where(free > 0.0, lit / np.maximum(free, 1e-9), 1.0)
 
     fine = shadow(1024).reshape(128, 8, 128, 8).mean(axis=(1, 3))
     coarse = shadow(128)
-    assert 0.1 < fine.mean() < 0.9
-    assert coarse.mean() == pytest.approx(fine.mean(), abs=0.02)
+    assert 0.1 < fine.mean() < 0.9 and coarse.mean() == pytest.approx(fine.mean(), abs=0.02)
     # One ray a pixel is off by sqrt(share (1 - share)): 0.35 and more here.
     assert np.sqrt(((coarse - fine) ** 2).mean()) < 0.6 * np.sqrt((fine * (1.0 - fine)).mean())
 
@@ -306,8 +298,7 @@ def test_interreflection_warms_what_faces_a_coloured_wall():
     gained = (with_it - without)[4]
     assert not gained[:, 1:].any()
     # The wall's lit side faces left, so the floor left of it gains, more when nearer.
-    assert gained[28, 0] > gained[20, 0] > gained[8, 0] >= 0.0
-    assert gained[28, 0] > 0.01
+    assert gained[28, 0] > gained[20, 0] > gained[8, 0] >= 0.0 and gained[28, 0] > 0.01
 
 
 # The reflectance of the loops, and of plain NumPy in float64, is matcap.brdf's.
@@ -339,27 +330,17 @@ def test_renderings_equal_the_float64_reference(dtype, limit, roughness):
     to_light[:, :250] = to_view[:, :250] * [[-1], [-1], [1]]  # mirrored: the peak
     normal = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), to_view.shape)
     rough = np.full(500, roughness)
-    found = specular(
-        tuple(normal.astype(dtype)),
-        tuple(to_view.astype(dtype)),
-        tuple(to_light.astype(dtype)),
-        rough.astype(dtype),
-        dtype(0.04),
-    )
+    vectors = (tuple(one.astype(dtype)) for one in (normal, to_view, to_light))
+    found = specular(*vectors, rough.astype(dtype), dtype(0.04))
     assert found.dtype == dtype
 
     def image(array):
         return torch.from_numpy(np.ascontiguousarray(array)).reshape(-1, 1, 500)
 
-    expected = reference.specular_lobe(
-        torch.full((1, 1, 500), 0.04, dtype=torch.float64),
-        image(rough[None]),
-        reference.Angles.exact(
-            image(normal),
-            image(to_light.astype(dtype).astype(np.float64)),
-            image(to_view.astype(dtype).astype(np.float64)),
-        ),
-    ).reshape(-1)
+    stored = (image(one.astype(dtype).astype(np.float64)) for one in (normal, to_light, to_view))
+    f0 = torch.full((1, 1, 500), 0.04, dtype=torch.float64)
+    angles = reference.Angles.exact(*stored)
+    expected = reference.specular_lobe(f0, image(rough[None]), angles).reshape(-1)
     # In float32 the very peak of a mirror cannot be told from its side.
     keep = slice(250, None) if dtype is np.float32 and roughness < 0.1 else slice(None)
     np.testing.assert_allclose(found[keep], expected.numpy()[keep], rtol=limit)
@@ -449,9 +430,8 @@ def test_plans_leave_out_no_more_of_any_channel_than_the_tolerance(monkeypatch):
 
 def test_a_plan_knows_the_brightest_channel():
     maps = flat(diffuse=0.0)
-    blue = replace(
-        maps, specular=torch.tensor([0.02, 0.03, 0.9])[:, None, None] * maps.height.add(1)
-    )
+    colour = torch.tensor([0.02, 0.03, 0.9])[:, None, None]
+    blue = replace(maps, specular=colour * maps.height.add(1))
     texture = Texture.from_maps(blue)
     assert texture.extremes.specular == pytest.approx(0.9)
     facing = Scene(Film(8, 6), None, Surface(), (PointLight((0.0, 0.0, 2.0)),))

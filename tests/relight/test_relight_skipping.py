@@ -10,7 +10,7 @@ from bound_scenes import share, tries
 from loop_calls import unit
 from random_scenes import codes, worst_difference
 from reference_errors import embossed, errors, lit, surrounded
-from reference_errors import reference as reference_errors_reference
+from reference_errors import reference as mitsuba
 from relight_samples import bumpy, flat
 
 import matcap
@@ -19,7 +19,6 @@ from matcap.files.exr import write_exr
 from matcap.flash.geometry import plane_points
 from matcap.flash.light import shade
 from matcap.relight import render
-from matcap.relight import render as planning
 from matcap.relight.effects import DEFAULT_TOLERANCE, Bound, area
 from matcap.relight.effects import relief as parallax
 from matcap.relight.plan import TILE, Budget, Tally
@@ -100,8 +99,7 @@ def test_effects_can_be_forced_on_and_off():
     renderer = Renderer(bumpy(), scene_from_light("left"))
     assert renderer.render(effects="all").plan.running == set(EFFECTS)
     dark = renderer.render(effects="none")
-    assert not dark.plan.running
-    assert not dark.radiance.any()
+    assert not dark.plan.running and not dark.radiance.any()
     only = renderer.render(effects="none,+diffuse")
     assert only.plan.running == {"diffuse"}
     without = renderer.render(effects="-shadows,+area").plan
@@ -163,7 +161,7 @@ def test_the_sum_of_left_out_effects_is_within_the_tolerance(tolerance, monkeypa
     """Each of these could be left out alone at most tolerances; all of them not."""
     bounds = {name: 0.25 + 0.05 * index for index, name in enumerate(EFFECTS)}
     made = {name: Effect(lambda _, b=bound: Bound(b, "")) for name, bound in bounds.items()}
-    monkeypatch.setattr(planning, "EFFECTS", made)
+    monkeypatch.setattr(render, "EFFECTS", made)
     steps = make_plan(None, tolerance, EffectChoice()).steps
     off = sum(step.bound for step in steps if not step.on)
     assert off <= tolerance + 1e-12
@@ -248,8 +246,7 @@ def test_named_scenes_by_plan_equal_those_with_all_effects(name):
     scene = Scene(film, SCENES[name].camera, SCENES[name].surface, SCENES[name].lights)
     maps = bumpy(128, 128, relief=0.03)
     off, planned = difference(maps, scene)
-    assert np.abs(off).max() <= 1.0
-    assert all(0.0 <= step.share <= 1.0 for step in planned.plan.steps)
+    assert np.abs(off).max() <= 1.0 and all(0.0 <= step.share <= 1.0 for step in planned.plan.steps)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -317,12 +314,8 @@ def test_progress_goes_up_to_the_end_and_an_interruption_ends_it(monkeypatch):
 
 def relight(source, scene, **options):
     """The plain reflectance on the undisplaced plane, which the references below know."""
-    return matcap.relight(
-        source,
-        scene,
-        effects="-multiscatter,-parallax,-shadows,-interreflection,-filtering",
-        **options,
-    )
+    plain = "-multiscatter,-parallax,-shadows,-interreflection,-filtering"
+    return matcap.relight(source, scene, effects=plain, **options)
 
 
 @pytest.fixture
@@ -345,8 +338,7 @@ def reference(maps, light) -> np.ndarray:
 def test_the_renderer_equals_the_flash_renderer(maps, light):
     scene = scene_from_light(light)
     found = relight(maps, scene)
-    assert found.shape == (48, 64, 3)
-    assert found.dtype == np.float32
+    assert found.shape == (48, 64, 3) and found.dtype == np.float32
     np.testing.assert_allclose(found, reference(maps, scene.lights[0]), rtol=1e-4, atol=1e-6)
 
 
@@ -402,8 +394,7 @@ def test_rays_beside_the_plane_or_from_behind_are_black():
     assert picture[:, 16].all()
     small = Camera(position=(0.0, 0.0, 10.0))
     picture = relight(flat(), Scene(Film(33, 33), small, Surface(size=1.0), (light,)))
-    assert picture[16, 16].all()
-    assert not picture[0].any() and not picture[:, -1].any()
+    assert picture[16, 16].all() and not picture[0].any() and not picture[:, -1].any()
     behind = Camera(position=(0.0, 0.0, -2.0))
     assert not relight(flat(), Scene(Film(8, 8), behind, Surface(), (light,))).any()
     below = PointLight((0.0, 0.0, -2.0))
@@ -435,8 +426,7 @@ def test_a_material_is_read_at_the_size_the_surface_needs(maps):
             return bumpy(width, height, seed)
 
     picture = relight(Material(), Scene(Film(64, 48), None, Surface(size=2.0), ()), seed=5)
-    assert picture.shape == (48, 64, 3)
-    assert asked == [(64, 48, 5)]
+    assert picture.shape == (48, 64, 3) and asked == [(64, 48, 5)]
 
 
 def test_matcap_relight_is_the_renderer(maps):
@@ -468,21 +458,19 @@ def compare(found, expected, rms, largest, folder):
     ],
 )
 def test_direct_light_on_flat_maps_equals_the_closed_form(name, rms, largest, tmp_path):
-    compare(lit(name), reference_errors_reference(name), rms, largest, tmp_path)
+    compare(lit(name), mitsuba(name), rms, largest, tmp_path)
 
 
 def test_environment_light_on_flat_maps_equals_the_closed_form(tmp_path):
     # As the tolerance says, 144 directions or 2584.
     for finer, rms, largest in ((1.0, 1e-3, 4e-3), (16.0, 3e-4, 1e-3)):
-        compare(surrounded(finer), reference_errors_reference("sky"), rms, largest, tmp_path)
+        compare(surrounded(finer), mitsuba("sky"), rms, largest, tmp_path)
 
 
 def test_each_effect_of_relief_brings_the_picture_nearer_the_truth():
     stages = list(embossed())
     found = [rms for rms, _ in stages]
-    assert found == sorted(found, reverse=True)
-    assert found[-1] < 0.4 * found[0]
+    assert found == sorted(found, reverse=True) and found[-1] < 0.4 * found[0]
     # The bounce's light is right on average.
-    assert stages[-1][1].mean() == pytest.approx(
-        reference_errors_reference("embossed_bounce").mean(), rel=0.02
-    )
+    truth = mitsuba("embossed_bounce").mean()
+    assert stages[-1][1].mean() == pytest.approx(truth, rel=0.02)

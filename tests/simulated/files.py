@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from simulated.photographs import Shot, noisy
@@ -80,7 +80,7 @@ def write_dng(
     black: int | tuple[int, ...] | None = BLACK,
     white: int | tuple[int, ...] = WHITE,
     exif: dict[int, int | Fraction] | None = None,
-    color_matrix: NDArray | None = None,
+    color_matrix: ArrayLike = XYZ_TO_REC709,
     active_area: tuple[int, int, int, int] | None = None,
     **options: object,
 ) -> Path:
@@ -94,34 +94,18 @@ def write_dng(
         (272, 2, 0, "test camera", True),
         (50708, 2, 0, "matcap test camera", True),
         (274, 3, 1, orientation, True),
-        *(
-            (
-                tag,
-                3,
-                planes,
-                level if isinstance(level, tuple) or planes == 1 else (level,) * planes,
-                True,
-            )
-            for tag, level in ((50714, black), (50717, white))
-            if level is not None
-        ),
-        (
-            50721,
-            10,
-            9,
-            rationals(np.ravel(XYZ_TO_REC709 if color_matrix is None else color_matrix)),
-            True,
-        ),
+        (50721, 10, 9, rationals(np.ravel(color_matrix)), True),
         (50778, 3, 1, 21, True),
         *more,
     ]
+    for tag, level in ((50714, black), (50717, white)):
+        if level is not None:
+            whole = level if isinstance(level, tuple) or planes == 1 else (level,) * planes
+            tags.append((tag, 3, planes, whole, True))
     if neutral is not None:
         tags.append((50728, 5, 3, rationals(neutral), True))
     if cfa:
-        tags += [
-            (33421, 3, 2, (2, 2), True),
-            (33422, 1, 4, bytes((0, 1, 1, 2)), True),
-        ]
+        tags += [(33421, 3, 2, (2, 2), True), (33422, 1, 4, bytes((0, 1, 1, 2)), True)]
     if exif:
         tags.append((_PLACEHOLDER, 4, 1, 0, True))
     if active_area:
@@ -142,6 +126,27 @@ def write_dng(
     )
     if exif:
         _append_exif(path, exif)
+    return path
+
+
+def beside_preview(
+    whole: Path, path: Path, samples: NDArray[np.uint16], orientation: int, **options: object
+) -> Path:
+    """A mosaic's DNG anew: a preview of this orientation first, the raw picture below it."""
+    with tifffile.TiffFile(whole) as file:
+        tags = [
+            (tag.code, int(tag.dtype), tag.count, tag.value, True)
+            for tag in file.pages.first.tags
+            if tag.code > 33000 or tag.code == 274
+        ]
+    first = [tag for tag in tags if tag[0] in (50706, 50707, 50708, 50721, 50728, 50778)]
+    rest = [tag for tag in tags if tag not in first]
+    first.append((274, 3, 1, orientation, True))
+    about = {"metadata": None, "software": False}
+    with tifffile.TiffWriter(path) as out:
+        shown = {"photometric": "rgb", "subifds": 1, "subfiletype": 1, "extratags": first}
+        out.write(np.zeros((16, 24, 3), np.uint8), **shown, **about)
+        out.write(samples, photometric=CFA, extratags=rest, **about, **options)
     return path
 
 
@@ -194,10 +199,7 @@ def write_jpeg(path: Path, shot: Shot, seed: int) -> None:
     code = srgb_picture(noisy(shot.linear, shot.camera, seed).astype(np.float32))
     exif = Image.Exif()
     exif.update({271: "matcap", 272: "simulated phone", 274: 1})
-    exif.get_ifd(34665).update(
-        {
-            tag: IFDRational(value) if isinstance(value, Fraction) else value
-            for tag, value in _exif_of(shot).items()
-        }
-    )
+    for tag, value in _exif_of(shot).items():
+        stored = IFDRational(value) if isinstance(value, Fraction) else value
+        exif.get_ifd(34665)[tag] = stored
     Image.fromarray(np.round(code * 255.0).astype(np.uint8)).save(path, quality=95, exif=exif)

@@ -73,8 +73,7 @@ def test_adain_with_measured_moments_is_adain(adain, features):
 def test_adain_of_constant_features_is_finite_with_its_gradient(adain):
     constant = torch.full((1, 5, 8, 8), 7.0, requires_grad=True)
     adain(constant, torch.randn(CODE_SIZE), None).square().sum().backward()
-    assert torch.isfinite(constant.grad).all()
-    assert torch.isfinite(adain.affine.weight.grad).all()
+    assert torch.isfinite(constant.grad).all() and torch.isfinite(adain.affine.weight.grad).all()
 
 
 def test_gradients_of_a_decoder_follow_finite_differences():
@@ -161,16 +160,14 @@ def numbers_of_cells(waves, x, y, size, level=0):
 @pytest.mark.parametrize("corner", [(0, 0), (-70, 2**31 - 40), (2**40 - 90, -(2**40) + 3)])
 def test_a_cell_is_where_every_wave_has_made_the_same_whole_turns(waves, corner):
     found = numbers_of_cells(waves, *corner, 60)
-    assert len(found) >= 4
-    assert len(set(found.values())) == len(found)
+    assert len(found) >= 4 and len(set(found.values())) == len(found)
 
 
 def test_all_levels_draw_the_same_numbers_for_a_cell():
     fine = numbers_of_cells(OBLIQUE, 32, -64, 64)
     coarse = numbers_of_cells(OBLIQUE, 16, -32, 32, level=1)
     shared = fine.keys() & coarse.keys()
-    assert len(shared) > 20
-    assert all(fine[cell] == coarse[cell] for cell in shared)
+    assert len(shared) > 20 and all(fine[cell] == coarse[cell] for cell in shared)
 
 
 @LATTICES
@@ -184,10 +181,8 @@ def test_a_rectangle_is_cut_out_of_a_larger_one(waves):
 @pytest.mark.parametrize("period", [(160, 96), (160, None), (None, 96)])
 @pytest.mark.parametrize("level", [0, 2])
 def test_cells_of_a_periodic_field_repeat_whole(waves, period, level):
-    side, height = 480 >> level, 288 >> level
-    field = cell_field(
-        Patch(3, Rectangle(-30, 5, side, height), level=level, period=period), waves, 2
-    )
+    area = Rectangle(-30, 5, 480 >> level, 288 >> level)
+    field = cell_field(Patch(3, area, level=level, period=period), waves, 2)
     shift = [length and length >> level for length in (period[1], period[0])]
     assert torch.equal(field, field.roll([s or 0 for s in shift], (1, 2)))
     if all(period) and len(waves) == 2 and level == 0:
@@ -204,9 +199,8 @@ def test_a_block_where_far_ends_meet_is_made_of_the_same_cells():
 
 
 def test_cells_have_zero_mean_and_unit_variance_and_are_independent():
-    cells = cell_field(Patch(1, Rectangle(0, 0, 800, 800)), (Wave(0.25, 0.0), Wave(0.0, 0.25)), 2)[
-        :, ::4, ::4
-    ]
+    waves = Wave(0.25, 0.0), Wave(0.0, 0.25)
+    cells = cell_field(Patch(1, Rectangle(0, 0, 800, 800)), waves, 2)[:, ::4, ::4]
     assert cells.mean(dim=(1, 2)).abs().max() < 0.02
     assert (cells.std(dim=(1, 2)) - 1.0).abs().max() < 0.02
     for other in (cells[1], cells[0].roll(1, 0), cells[0].roll(1, 1)):
@@ -231,8 +225,7 @@ def test_channels_are_waves_then_cells():
 
 def test_the_ends_of_a_blend_are_the_given_materials(prior):
     a, b = prior.draw(1), prior.draw(2)
-    assert blend(a, b, 0.0) is a
-    assert blend(a, b, 1.0) is b
+    assert blend(a, b, 0.0) is a and blend(a, b, 1.0) is b
 
 
 def test_a_blend_near_an_end_is_similar_to_it(prior):
@@ -243,8 +236,7 @@ def test_a_blend_near_an_end_is_similar_to_it(prior):
         found = blend(a, b, share).maps(64, 64).stacked()[:5]
         distances.append((float((found - first).abs().mean()), float((found - last).abs().mean())))
     from_a, from_b = zip(*distances, strict=True)
-    assert list(from_a) == sorted(from_a)
-    assert list(from_b) == sorted(from_b, reverse=True)
+    assert list(from_a) == sorted(from_a) and list(from_b) == sorted(from_b, reverse=True)
     assert from_a[0] < 0.05 * from_a[-1]
 
 
@@ -255,16 +247,13 @@ def test_the_middle_has_the_mean_weights_and_its_own_moments(prior):
     wanted = (a.decoder.state_dict()[name] + b.decoder.state_dict()[name]) / 2
     torch.testing.assert_close(middle.decoder.state_dict()[name], wanted)
     torch.testing.assert_close(middle.code, (a.code + b.code) / 2)
-    assert not torch.equal(middle.moments[0][0], a.moments[0][0]) or not torch.equal(
-        middle.moments[-1][0], a.moments[-1][0]
-    )
+    assert any(not torch.equal(middle.moments[i][0], a.moments[i][0]) for i in (0, -1))
 
 
 def test_negated_frequency_vectors_are_the_same_stripes():
     wave, backwards = Wave(0.1, 0.02), Wave(-0.1, -0.02)
     assert blend_waves((wave,), (backwards,), 0.5) == (wave,)
-    assert blend_waves((wave,), (), 0.4) == (wave,)
-    assert blend_waves((wave,), (), 0.6) == ()
+    assert blend_waves((wave,), (), 0.4) == (wave,) and blend_waves((wave,), (), 0.6) == ()
 
 
 def test_a_material_without_order_blends_with_one_that_has_cells(prior):
@@ -274,11 +263,10 @@ def test_a_material_without_order_blends_with_one_that_has_cells(prior):
     moments = tuple(freeze(decoder, tuned.code, waves))
     ordered = replace(tuned, decoder=decoder, waves=waves, moments=moments)
     ordered = ordered.material("ordered", b.setup)
-    for first, second in ((a, ordered), (ordered, a)):
-        mostly_ordered = blend(first, second, 0.9 if second is ordered else 0.1)
+    for ends, share in (((a, ordered), 0.9), ((ordered, a), 0.1)):
+        mostly_ordered = blend(*ends, share)
         made = mostly_ordered.part(TunedDecoder)
-        assert made.waves == waves
-        assert made.decoder.config.cells == CELL_CHANNELS
+        assert made.waves == waves and made.decoder.config.cells == CELL_CHANNELS
         assert torch.isfinite(mostly_ordered.maps(64, 64).stacked()).all()
 
 
@@ -294,19 +282,14 @@ def test_incompatible_materials_are_not_blended(prior):
 
 
 def test_the_command_writes_materials_and_a_strip(prior, tmp_path, capsys):
-    folder, out = tmp_path / "a", tmp_path / "out"
+    folder, b, out = tmp_path / "a", tmp_path / "b.matcap", tmp_path / "out"
     folder.mkdir()
-    a, b = folder / "a.matcap", tmp_path / "b.matcap"
-    for seed, path in ((1, a), (2, b)):
+    for seed, path in ((1, folder / "a.matcap"), (2, b)):
         prior.draw(seed).save(path)
     assert main(["blend", str(folder), str(b), "-t", "0:1:3", "-o", str(out)]) == 0
     assert capsys.readouterr().err.count("not their patterns") == 1
-    assert sorted(p.name for p in out.iterdir()) == [
-        "a_b_0.000.matcap",
-        "a_b_0.500.matcap",
-        "a_b_1.000.matcap",
-        "strip.png",
-    ]
+    made = [f"a_b_{share}.matcap" for share in ("0.000", "0.500", "1.000")]
+    assert sorted(p.name for p in out.iterdir()) == [*made, "strip.png"]
     end = Material.load(out / "a_b_1.000.matcap").maps(64, 64).stacked()
     assert torch.equal(end, Material.load(b).maps(64, 64).stacked())
 
@@ -338,10 +321,8 @@ def test_a_lattice_is_found_again_and_patches_keep_to_it():
 def test_setups_of_a_portrait_and_a_landscape_keep_the_nearer_ones_geometry():
     example = Example.of(blobs())
     lying = a_material("lying", example=example).by("example")
-    standing = replace(
-        lying,
-        setup=replace(lying.setup, turned=True, tilt=(0.1, 0.0), intensity=(3.0, 3.0, 3.0)),
-    )
+    turned = replace(lying.setup, turned=True, tilt=(0.1, 0.0), intensity=(3.0, 3.0, 3.0))
+    standing = replace(lying, setup=turned)
     assert blend(lying, standing, 0.25).setup == lying.setup.with_intensity((1.5, 1.5, 1.5))
     assert blend(lying, standing, 0.75).setup == standing.setup.with_intensity((2.5, 2.5, 2.5))
 
@@ -355,8 +336,7 @@ def test_samples_are_drawn_from_a_given_prior(prior, tmp_path, capsys):
     prior.save(tmp_path / "p.safetensors")
     out = tmp_path / "s.png"
     arguments = ["sample", "-n", "3", "--prior", str(tmp_path / "p.safetensors"), "-o", str(out)]
-    assert main(arguments) == 0
-    assert out.stat().st_size > 1000
+    assert main(arguments) == 0 and out.stat().st_size > 1000
     assert main(["sample", "--prior", str(tmp_path / "none"), "-o", str(out)]) == 3
 
 
@@ -365,8 +345,7 @@ def test_the_shipped_prior_loads_and_draws():
 
     assert SHIPPED.stat().st_size < 30e6
     prior = load_prior()
-    assert SHIPPED.with_suffix(".md").is_file()
-    assert len(prior.anchors) == 346
+    assert SHIPPED.with_suffix(".md").is_file() and len(prior.anchors) == 346
     maps = prior.draw(0).maps(32, 32).stacked()
     assert bool(torch.isfinite(maps).all())
     mean = torch.tensor(prior.about["code_mean"])

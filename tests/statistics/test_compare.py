@@ -93,8 +93,7 @@ def test_statistics_across_levels_detect_shifted_fine_structure():
         only = replace(none, **{kind: 1.0})
         alike = apart(picture(1), picture(0), only)
         ratios[kind] = apart(picture(1, moved=80), picture(0), only) / alike
-    assert ratios["cross"] > 1.25
-    assert ratios["spectrum"] < 1.1
+    assert ratios["cross"] > 1.25 and ratios["spectrum"] < 1.1
 
 
 def test_windows_are_described_one_by_one():
@@ -179,14 +178,12 @@ def test_filters_depend_on_the_seed_alone():
     again = FilterBank(SMALL)
     other = FilterBank(FilterBankConfig(sizes=(3, 5), filters=4, levels=3, seed=5))
     for a, b, c in zip(first.weights, again.weights, other.weights, strict=True):
-        assert torch.equal(a, b)
-        assert not torch.equal(a, c)
+        assert torch.equal(a, b) and not torch.equal(a, c)
 
 
 def test_a_constant_picture_has_no_response():
     features = FilterBank(SMALL).features(torch.full((1, 3, 20, 24), 3.0))
-    assert features.shape == (1, 8, 16, 20)
-    assert features.abs().max() < 1e-4
+    assert features.shape == (1, 8, 16, 20) and features.abs().max() < 1e-4
 
 
 def test_borders_add_no_response():
@@ -198,8 +195,7 @@ def test_borders_add_no_response():
 def test_responses_are_rectified_and_grow_with_contrast():
     bank, image = FilterBank(SMALL), picture(20, 20)
     features = bank.features(image)
-    assert features.min() == 0
-    assert (features > 0).float().mean() > 0.3
+    assert features.min() == 0 and (features > 0).float().mean() > 0.3
     assert torch.allclose(bank.features(3.0 * image), 3.0 * features, atol=1e-4)
 
 
@@ -239,8 +235,7 @@ def features(shape, *, seed=0):
 def test_second_moments_and_means(shape, layout):
     given = features(shape).contiguous(memory_format=layout)
     found = gram(given)
-    assert found.dtype == torch.float32
-    assert torch.allclose(found, plain(given), atol=1e-5)
+    assert found.dtype == torch.float32 and torch.allclose(found, plain(given), atol=1e-5)
     assert torch.allclose(found[:, -1, :-1], given.mean((2, 3)), atol=1e-6)
 
 
@@ -256,8 +251,7 @@ def test_the_gradient_equals_that_of_plain_sums():
 def test_half_precision_returns_float32():
     given = features((1, 4, 8, 8))
     found = gram(given.bfloat16())
-    assert found.dtype == torch.float32
-    assert (found - plain(given)).abs().max() < 0.03
+    assert found.dtype == torch.float32 and (found - plain(given)).abs().max() < 0.03
 
 
 @pytest.mark.parametrize(

@@ -44,8 +44,7 @@ def test_stripes_have_one_frequency_vector(fx, fy):
     lattice = find_lattice(wave(fx, fy) + 0.5 * noise(), ALL)
     (found,) = lattice.waves
     sign = 1.0 if found.fx * fx + found.fy * fy > 0 else -1.0
-    assert math.hypot(found.fx - sign * fx, found.fy - sign * fy) < MISS
-    assert lattice.share > 0.3
+    assert math.hypot(found.fx - sign * fx, found.fy - sign * fy) < MISS and lattice.share > 0.3
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.4, 1.1])
@@ -81,8 +80,7 @@ def test_a_picture_smaller_than_a_window_has_no_lattice():
 @pytest.mark.parametrize("value", [0.0, 1.0])
 def test_a_constant_or_unseen_picture_has_no_lattice(value):
     flat = torch.full((3, SIZE, SIZE), value)
-    assert find_lattice(flat, ALL).waves == ()
-    assert find_lattice(noise(), ~ALL).waves == ()
+    assert find_lattice(flat, ALL).waves == () and find_lattice(noise(), ~ALL).waves == ()
 
 
 @pytest.mark.parametrize(("along_x", "along_y"), [(72.0, 87.0), (40.0, 110.0), (31.0, 24.0)])

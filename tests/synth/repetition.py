@@ -19,16 +19,14 @@ from matcap.space.tuned import TunedDecoder
 
 def reach(material):
     """Texels that a texel's value depends on, to each side."""
-    return (
-        -spans_of(Span(0, 512), material.part(TunedDecoder).decoder.config.convolutions)
-        .down[0]
-        .start
-    )
+    convolutions = material.part(TunedDecoder).decoder.config.convolutions
+    return -spans_of(Span(0, 512), convolutions).down[0].start
 
 
-def correlations(material, size, seeds=(1, 2, 3)):
+def correlations(material, size, seeds=(1, 2, 3), period=None):
     """Largest correlation of a map with itself beyond the reach, and of maps of two seeds."""
-    maps = [Field(material, seed).read(0, 0, size, size).roughness[0].numpy() for seed in seeds]
+    fields = (Field(material, seed, period) for seed in seeds)
+    maps = [field.read(0, 0, size, size).roughness[0].numpy() for field in fields]
     spectra = [np.fft.rfft2((m - m.mean()) / m.std()) for m in maps]
     lag = np.minimum(np.arange(size), size - np.arange(size))
     far = np.maximum(lag[:, None], lag[None, :]) > 2 * reach(material)

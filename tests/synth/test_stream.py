@@ -45,11 +45,8 @@ def request(material, area=ODD, seed=5, period=None, **stored):
 
 def contents(folder):
     """A digest of every file: where bytes differ, pytest would compare them for hours."""
-    return {
-        file.name: sha256(file.read_bytes()).hexdigest()
-        for file in folder.iterdir()
-        if file.is_file()
-    }
+    files = (file for file in folder.iterdir() if file.is_file())
+    return {file.name: sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def pixels(path):
@@ -72,14 +69,13 @@ def test_normals_look_beyond_blocks_and_beyond_the_rectangle(material, tmp_path)
     expected = wide.normal[:, 1:-1, 1:-1].permute(1, 2, 0).numpy()
     assert np.abs(pixels(tmp_path / "m_normal.exr") - expected).max() < 1e-3
     write_field(*request(material, normal="dx"), tmp_path / "dx")
-    assert np.array_equal(
-        pixels(tmp_path / "dx/m_normal.exr"), pixels(tmp_path / "m_normal.exr") * [1, -1, 1]
-    )
+    flipped = pixels(tmp_path / "dx/m_normal.exr") * [1, -1, 1]
+    assert np.array_equal(flipped, pixels(tmp_path / "m_normal.exr"))
 
 
 def test_workers_change_no_byte(material, tmp_path):
     """Threads for few blocks, processes for more: both beside a single thread."""
-    area = Rectangle(40, 7, 2 * 128, 26 * 64)
+    area = Rectangle(40, 7, 2 * 128, stream._FEW // 2 * 64)  # on three columns of blocks
     lines = []
     write_field(*request(material, area), tmp_path / "1", Work(1, progress=lines.append))
     assert lines[-1].fraction == 1.0
@@ -130,10 +126,9 @@ def test_two_runs_in_one_place_do_not_mix(material, tmp_path):
 
 def test_values_that_are_not_finite_are_refused_and_leave_nothing(material, tmp_path):
     source = material.generator.source(0)
-    broken = replace(source, texel_size=float("nan"))
+    broken = OpenedField(replace(source, texel_size=float("nan")), MapSetInfo("m"))
     with pytest.raises(MatcapError, match="not finite"):
-        asked = SynthRequest(Path("m.matcap"), ODD)
-        write_field(asked, OpenedField(broken, MapSetInfo("m")), tmp_path / "out")
+        write_field(SynthRequest(Path("m.matcap"), ODD), broken, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -235,8 +230,8 @@ config = DecoderConfig(2, (32, 32, 32, 32, 32), (1, 1))
 source = a_material(config=config).part(TunedDecoder).source(0)
 faults = []
 with single_threaded(1) as pool:
-    for _ in range(4):
-        pool.submit(source.maps, Rectangle(0, 0, 512, 256)).result()
+    for _ in range(3):
+        pool.submit(source.maps, Rectangle(0, 0, 256, 256)).result()
         faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)
 print(faults[-1] - faults[1])
 """
@@ -286,13 +281,6 @@ def test_cuda_that_is_not_there_is_refused(material, monkeypatch):
     assert Field(material, device="auto").source.device.type == "cpu"
 
 
-def test_two_runs_on_the_cpu_are_bit_identical(wavy):
-    source = wavy.generator.source(1)
-    moved = replace(source, decoder=source.decoder.to(torch.device("cpu")))
-    block = Rectangle(-512, 256, 64, 32)
-    assert torch.equal(source.maps(block), moved.maps(block))
-
-
 def test_nothing_of_a_block_is_left_on_the_processor(wavy):
     """A device without memory stands for CUDA: it refuses operands that lie elsewhere."""
     source = wavy.generator.source(1, device=torch.device("meta"))
@@ -306,11 +294,9 @@ def test_repeatable_makes_convolutions_exact_and_restores_settings(monkeypatch, 
     monkeypatch.setattr(torch.backends, "fp32_precision", everything)
     before = CONVOLUTION.fp32_precision
     with pytest.raises(KeyError), repeatable(torch.device("cuda")):
-        assert CONVOLUTION.fp32_precision == "ieee"
-        assert torch.backends.cudnn.deterministic
+        assert CONVOLUTION.fp32_precision == "ieee" and torch.backends.cudnn.deterministic
         raise KeyError
-    assert CONVOLUTION.fp32_precision == before == "tf32"
-    assert not torch.backends.cudnn.deterministic
+    assert CONVOLUTION.fp32_precision == before == "tf32" and not torch.backends.cudnn.deterministic
     with repeatable(torch.device("cpu")):
         assert CONVOLUTION.fp32_precision == before
 

@@ -78,8 +78,7 @@ def test_html_is_one_sealed_file(folder, tmp_path, material, capsys):
     text = page.read_text(encoding="utf-8")
     # No address of anything else, and a policy that would not let it be fetched.
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)
-    assert not re.search(r"https?://", text)
-    assert "default-src 'none'" in text
+    assert not re.search(r"https?://", text) and "default-src 'none'" in text
     tile = about_of(text)["tile"]
     assert tile["size"] == [64, 64]
     split = np.frombuffer(zlib.decompress(base64.b64decode(tile["data"])), np.uint8)
@@ -102,8 +101,7 @@ def test_maps_that_half_floats_cannot_hold_are_said(material):
 def test_names_cannot_break_out_of_the_page(material):
     evil = '</script><script>alert(1)</script>"&'
     page = sealed_page(Maps(material.maps(16, 16), evil))
-    assert "<script>alert" not in page
-    assert about_of(page)["name"] == evil
+    assert "<script>alert" not in page and about_of(page)["name"] == evil
 
 
 @pytest.mark.parametrize(
@@ -120,8 +118,7 @@ def test_wrong_arguments_are_one_sentence(folder, tmp_path, capsys, arguments, s
     given = [part.format(folder=folder, out=tmp_path) for part in arguments]
     assert main(["view", *given, "--no-open"]) == code
     said = capsys.readouterr().err
-    assert says in said and said.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert says in said and said.count("\n") == 1 and list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("asked", [["--seed", str(2**70)], ["--tile", "999984"]])
@@ -159,7 +156,6 @@ def test_the_command_serves_until_it_is_interrupted(folder):
             with urllib.request.urlopen(address, timeout=30) as answer:
                 assert "<canvas" in answer.read().decode()
             one.send_signal(signal.SIGINT)
-            assert one.wait(30) == 0
-            assert one.stderr.read() == ""
+            assert one.wait(30) == 0 and one.stderr.read() == ""
         finally:
             one.kill()

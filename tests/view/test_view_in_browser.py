@@ -73,8 +73,7 @@ def test_the_plane_equals_that_of_relight(page, material, x, y, span, exposure):
 def test_round_surfaces_equal_those_of_relight(page, material, shape):
     shown = picture(page, shape=shape, x=256, y=256, span=WIDTH, lamp=LAMP)
     wanted, seen = expected(around(material, 256, 256), shape, WIDTH)
-    assert seen.mean() > 0.2
-    assert np.abs(shown - wanted)[inner(seen)].max() <= 2 * STEP
+    assert seen.mean() > 0.2 and np.abs(shown - wanted)[inner(seen)].max() <= 2 * STEP
 
 
 @pytest.mark.parametrize(("room_name", "mean", "most"), [("studio", 2, 8), ("dusk", 3, 16)])
@@ -87,8 +86,7 @@ def test_environments_equal_those_of_relight(page, material, tmp_path, room_name
     lights = room_light(page, room_name, tmp_path / "room.exr")
     wanted, seen = expected(around(material, 256, 256), "sphere", WIDTH, lights=lights)
     off = np.abs(shown - wanted)[inner(seen, 4)]
-    assert off.mean() <= mean * STEP
-    assert np.quantile(off, 0.99) <= most * STEP
+    assert off.mean() <= mean * STEP and np.quantile(off, 0.99) <= most * STEP
 
 
 @pytest.mark.parametrize("map_name", ["diffuse", "specular", "roughness", "height", "normal"])
@@ -482,8 +480,7 @@ def test_the_turntable_moves_the_lamp(own):
 def test_page_fits_its_window(tab, address, size):
     page = tab(address.url, viewport=size)
     wide, tall = page.ask("[document.documentElement.scrollWidth, matcap.view.canvas.clientHeight]")
-    assert wide <= size["width"]
-    assert tall >= 0.5 * size["height"]
+    assert wide <= size["width"] and tall >= 0.5 * size["height"]
 
 
 def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject, tmp_path):
@@ -494,8 +491,7 @@ def test_enclosed_page_draws_the_same_and_fetches_nothing(tab, material, subject
     shown = picture(page, x=700, y=-900, span=WIDTH, lamp=LAMP)
     maps = material.maps(1024, 1024, x=700 - 512, y=-900 - 512, period=(256, 256))
     wanted, _ = expected(maps, "plane", WIDTH)
-    assert np.abs(shown - wanted).max() <= 2 * STEP
-    assert page.shown() == []
+    assert np.abs(shown - wanted).max() <= 2 * STEP and page.shown() == []
 
 
 def test_the_self_contained_page_shows_the_photograph(tab, tmp_path):

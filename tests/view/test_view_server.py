@@ -2,6 +2,7 @@
 
 import json
 from functools import cache
+from importlib import import_module
 from itertools import pairwise
 from threading import Event
 
@@ -39,7 +40,8 @@ from matcap.view.subject import (
 )
 
 testclient = pytest.importorskip("starlette.testclient", reason="extra 'view' not installed")
-server = pytest.importorskip("matcap.view.server")
+pytest.importorskip("uvicorn", reason="extra 'view' not installed")
+server = import_module("matcap.view.server")
 
 ADDRESS = server.Address(8123, "secret-token")
 BASE = "http://127.0.0.1:8123"
@@ -70,8 +72,7 @@ def test_the_page_and_all_its_files_are_served(client):
     for name in (*SCRIPTS, STYLE):
         assert f'"{name}"' in texts or f'"./{name}"' in texts
         assert get(client, name).status_code == 200
-    assert get(client, "photo").content == PHOTO.data
-    assert get(client, "alive").status_code == 204
+    assert get(client, "photo").content == PHOTO.data and get(client, "alive").status_code == 204
 
 
 def test_every_answer_forbids_what_the_page_does_not_need(client):
@@ -88,8 +89,7 @@ def test_every_answer_forbids_what_the_page_does_not_need(client):
 )  # fmt: skip
 def test_without_the_token_nothing_is_given(client, path):
     answer = client.get(BASE + path)
-    assert answer.status_code == 403
-    assert "matcap view printed" in answer.text
+    assert answer.status_code == 403 and "matcap view printed" in answer.text
 
 
 @pytest.mark.parametrize("host", ["example.com", "127.0.0.1", "127.0.0.1:80", "localhost:9", ""])
@@ -262,8 +262,7 @@ def test_a_page_is_made_once(subject, monkeypatch):
     calls = watched(monkeypatch, type(subject))
     pages = Pages(subject, workers=2)
     first = [pages.ask(Place(0, 4, 4)), pages.ask(Place(0, 4, 4))]
-    assert first[0].result() is first[1].result()
-    assert calls == [Place(0, 4, 4).area]
+    assert first[0].result() is first[1].result() and calls == [Place(0, 4, 4).area]
     pages.close()
 
 
@@ -289,8 +288,7 @@ def test_abandoned_requests_are_not_computed(subject, monkeypatch):
     pages.drop(Place(0, 1, 0))
     pages.drop(Place(0, 0, 0))  # too late: it is being made
     go.set()
-    assert first.result() and second.cancelled()
-    assert pages.ask(Place(0, 1, 0)).result()
+    assert first.result() and second.cancelled() and pages.ask(Place(0, 1, 0)).result()
     pages.close()
 
 
@@ -308,8 +306,7 @@ def test_memory_is_bounded(monkeypatch):
     monkeypatch.setattr("matcap.view.subject._KEPT", 3)
     pages = Pages(Maps(random_maps(16, 16), "flat"), workers=1)
     futures = [pages.ask(Place(0, column, 0)) for column in range(9)]
-    assert all(future.result() for future in futures)
-    assert len(pages._kept) == 3
+    assert all(future.result() for future in futures) and len(pages._kept) == 3
     pages.close()
 
 

@@ -30,6 +30,7 @@ from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
+from matcap.statistics.streaks import streaks
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
 _TRIED = 1000  # random candidate blocks per place
@@ -48,6 +49,8 @@ _WHOLE_DONOR = 0.95  # least confident share of a donor block
 _OUTSTANDING, _MARKED = 7.0, 0.03
 _GRAIN = 8  # texels of marks in a block that nobody sees a second time
 _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
+# Mismatch of a block that has been copied before: the eye finds it next to itself.
+_REUSED = 0.3
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
 # A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
@@ -288,7 +291,7 @@ def _choose(
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
     known, seen = known.copy(), planes.features.copy()
-    allowed = np.zeros(known.shape, np.bool_)
+    allowed, copied = np.zeros((2, *known.shape), np.bool_)
     allowed[donors[:, 0], donors[:, 1]] = True
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
@@ -296,7 +299,9 @@ def _choose(
         follow = [(y, x) for y, x in _continued(place, chosen) if min(y, x) >= 0 and allowed[y, x]]
         if follow:
             blocks = np.concatenate([blocks, np.array(follow)])
+        here = _block(place)
         mismatch = _discontinuity(place, blocks, planes.features, seen, known)
+        mismatch += _REUSED * _shown_before(blocks, ~known[here], copied)
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
         blocks, mismatch = blocks[nearest], mismatch[nearest]
@@ -305,10 +310,20 @@ def _choose(
         source = place if shown.is_distinct else (int(blocks[best][0]), int(blocks[best][1]))
         if not shown.is_distinct:
             chosen[place] = source
-        here, there = _block(place), _block(source)
+        there = _block(source)
+        copied[there] |= ~known[here]
         seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
         known[here] = True
     return chosen
+
+
+def _shown_before(blocks: BlockPlaces, new: TexelMask, copied: TexelMask) -> Floats:
+    """(N,) share of the texels that blocks would add, `new`, that have been copied before."""
+    rows, columns = (_THINNED * each for each in np.nonzero(new[::_THINNED, ::_THINNED]))
+    if not rows.size:
+        return np.zeros(len(blocks), np.float32)
+    sources = blocks[:, :1] + rows, blocks[:, 1:] + columns
+    return np.asarray(copied[sources].mean(axis=1), np.float32)
 
 
 def _continued(
@@ -392,11 +407,21 @@ def _around(texels: TexelMask) -> TexelMask:
 
 
 def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
-    """(H, W) bool: visible texels whose albedo is like hardly any other's."""
+    """(H, W) bool: visible texels whose albedo, alone or along a line, is like hardly any other's.
+
+    Lines are compared on half of the rows and columns.
+    """
     log = np.stack([cv2.GaussianBlur(np.log(plane.clip(1e-3)), (0, 0), 1.0) for plane in albedo])
     deviation = np.abs(log - np.median(log[:, visible], axis=1)[:, None, None]).max(axis=0)
-    usual, most = np.quantile(deviation[visible], [0.5, 1.0 - _MARKED])
-    return np.asarray(visible & (deviation > max(_OUTSTANDING * usual, most)))
+    deviation /= max(float(np.median(deviation[visible])), 1e-6)
+    size = visible.shape[1] // 2, visible.shape[0] // 2
+    thin = cv2.resize(log.mean(axis=0), size, interpolation=cv2.INTER_AREA)
+    seen = cv2.resize(visible.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+    lines = cv2.resize(streaks(thin, np.asarray(seen)), visible.shape[::-1])
+    marks = np.zeros_like(visible)
+    for each in (deviation, lines):
+        marks |= each > max(_OUTSTANDING, float(np.quantile(each[visible], 1.0 - _MARKED)))
+    return np.asarray(visible & marks)
 
 
 def _donors(visible: TexelMask, albedo: Floats) -> BlockPlaces:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from matcap.capture.rectified import PhotographLight
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
+from matcap.flash.rectify import Plane, plane_of
 
 SETUP = FlashSetup(fov=65.0, offset=(0.08, 0.04, 0.0), intensity=(6.0,) * 3)
 
@@ -58,3 +59,16 @@ def photographed(
     )
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     return Photographed(render_flash(maps, SETUP, points), maps, uniform, points)
+
+
+def even(shot: Photographed, albedo: float, roughness: float) -> Photographed:
+    """The same relief of an even dielectric."""
+    one = torch.ones_like(shot.maps.height)
+    grey = albedo * one.expand(3, -1, -1)
+    maps = replace(shot.maps, diffuse=grey, specular=0.04 * one, roughness=roughness * one)
+    return replace(shot, maps=maps, linear=render_flash(maps, shot.uniform.setup, shot.points))
+
+
+def whole_plane(linear: torch.Tensor) -> Plane:
+    """A picture of which every texel counts."""
+    return plane_of(linear, torch.ones(linear.shape[-2:], dtype=torch.bool))

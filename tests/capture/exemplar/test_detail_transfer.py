@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from photographed import photographed
+from photographed import photographed, whole_plane
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import spline_enlarged, transfer_detail
@@ -19,7 +19,7 @@ from matcap.capture.rectified import PlaneLight, network_input
 from matcap.capture.settings import DETAIL
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import render_flash
-from matcap.flash.rectify import Plane, plane_of
+from matcap.flash.rectify import plane_of
 from matcap.statistics.lattice import Wave
 
 
@@ -39,25 +39,17 @@ def finest(log: torch.Tensor) -> float:
     return float((log - F.interpolate(half, scale_factor=2.0, mode="bicubic")[0]).std())
 
 
-def _plane(linear: torch.Tensor) -> Plane:
-    return plane_of(linear, torch.ones(linear.shape[-2:], dtype=torch.bool))
-
-
 def _halved(maps: MapSet) -> Exemplar:
     half = maps.map(lambda m: F.avg_pool2d(m[None], 2)[0])
-    return Exemplar(
-        *(getattr(half, name).numpy() for name in ("diffuse", "specular", "roughness", "height")),
-        confidence=np.full((4, *half.height.shape[-2:]), 0.8, np.float32),
-        texel_size=2.0 * maps.texel_size,
-    )
+    certain = Exemplar.certain(half.stacked().numpy(), 2.0 * maps.texel_size)
+    return replace(certain, confidence=0.8 * certain.confidence)
 
 
 def test_the_exemplar_is_as_sharp_as_its_photograph(shot) -> None:
-    plane = _plane(shot.linear)
+    plane = whole_plane(shot.linear)
     half = _halved(shot.maps)
     found = transfer_detail(half, plane, shot.uniform)
-    assert found.size == plane.size
-    assert found.texel_size == plane.texel_size
+    assert found.size == plane.size and found.texel_size == plane.texel_size
     photographed = finest(shot.linear.log())
     rendered = PlaneLight(shot.uniform, plane.size).rendered(map_set_of(found))[0]
     assert finest(rendered) == pytest.approx(photographed, rel=0.1)
@@ -72,14 +64,14 @@ def test_grain_does_not_make_albedo_paler(shot) -> None:
     maps = replace(shot.maps, diffuse=(0.15 * (0.6 * detail).exp()).expand(3, -1, -1))
     half = _halved(maps)
     linear = render_flash(maps, shot.uniform.setup, shot.points)
-    found = transfer_detail(half, _plane(linear), shot.uniform)
+    found = transfer_detail(half, whole_plane(linear), shot.uniform)
     assert np.log(found.diffuse).std() > 1.3 * np.log(half.diffuse).std()
     assert found.diffuse.mean((1, 2)) == pytest.approx(half.diffuse.mean((1, 2)), rel=0.01)
 
 
 def test_fine_grain_is_restored_and_coarse_albedo_kept(shot) -> None:
     half = _halved(shot.maps)
-    found = map_set_of(transfer_detail(half, _plane(shot.linear), shot.uniform))
+    found = map_set_of(transfer_detail(half, whole_plane(shot.linear), shot.uniform))
     fine, true = _fine(found), _fine(shot.maps)
     assert float(torch.corrcoef(torch.stack([fine, true]))[0, 1]) > 0.9
     coarse = F.avg_pool2d(found.diffuse[None], 4)[0] / F.avg_pool2d(shot.maps.diffuse[None], 4)[0]
@@ -98,7 +90,7 @@ def test_sensor_noise_is_not_taken_for_grain(shot) -> None:
             0.15 * linear * torch.from_numpy(rng.standard_normal(linear.shape)).float()
             for _ in range(2)
         )
-        plane = _plane((linear + noisy).clamp_min(0.0))
+        plane = whole_plane((linear + noisy).clamp_min(0.0))
         for noise in (None, result):
             found = transfer_detail(_halved(maps), replace(plane, noise=noise), shot.uniform)
             drawn[name, noise is not None] = _fine(map_set_of(found))
@@ -123,7 +115,7 @@ def test_enlarged_heights_have_no_grid(shot) -> None:
     maps = replace(shot.maps, height=height)
     linear = render_flash(maps, shot.uniform.setup, shot.points)
     quarter = _halved(map_set_of(_halved(maps)))
-    found = transfer_detail(quarter, _plane(linear), shot.uniform).height[0]
+    found = transfer_detail(quarter, whole_plane(linear), shot.uniform).height[0]
     for each in (found, found.T):
         curved = np.diff(each, 2, axis=1)
         grid = [np.sqrt(np.square(curved[:, k::4]).mean()) for k in range(4)]
@@ -146,7 +138,7 @@ def test_splines_reproduce_quadratics() -> None:
 def test_flat_maps_stay_flat(shot) -> None:
     """Grain of albedo over no relief is not drawn as relief."""
     half = replace(_halved(shot.maps), height=np.zeros((1, 192, 256), np.float32))
-    found = transfer_detail(half, _plane(shot.linear), shot.uniform)
+    found = transfer_detail(half, whole_plane(shot.linear), shot.uniform)
     assert float(np.abs(found.height).max()) < 1e-6
 
 
@@ -171,7 +163,7 @@ def test_what_is_copied_from_elsewhere_has_the_detail_of_there(shot) -> None:
     linear = torch.where(measured, shot.linear, 0.9 * float(shot.linear.min()))
     plane = replace(plane_of(linear, measured), channels=measured.expand(3, -1, -1))
     found = transfer_detail(_halved(shot.maps), plane, shot.uniform, Copies(source, free)).diffuse
-    whole = transfer_detail(_halved(shot.maps), _plane(shot.linear), shot.uniform).diffuse
+    whole = transfer_detail(_halved(shot.maps), whole_plane(shot.linear), shot.uniform).diffuse
     fine = [
         np.log(each) - cv2.GaussianBlur(np.log(each), (0, 0), 2.0) for each in (found[0], whole[0])
     ]
@@ -182,6 +174,6 @@ def test_what_is_copied_from_elsewhere_has_the_detail_of_there(shot) -> None:
 def test_coarse_textures_are_predicted_at_half_resolution_and_lattices_at_full() -> None:
     y, x = torch.meshgrid(torch.arange(768.0), torch.arange(float(DETAIL)), indexing="ij")
     wide = 0.2 * (0.5 * torch.sin(x / 20.0) * torch.sin(y / 20.0)).exp().expand(3, -1, -1)
-    plane = _plane(wide.contiguous())
+    plane = whole_plane(wide.contiguous())
     assert network_input(plane).size == (DETAIL // 2, 384)
     assert network_input(plane, (Wave(0.05, 0.0),)) is plane

@@ -13,11 +13,10 @@ import pytest
 import torch
 from arrays import photo_from_array
 from materials import a_material
-from photographed import photographed
+from photographed import photographed, whole_plane
 from PIL import Image
 from typer.testing import CliRunner
 
-from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.folder import find_mapsets, read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
@@ -70,8 +69,7 @@ def test_the_exemplar_re_renders_to_its_photograph() -> None:
     found = _found(plane, coarse)
     assert found.error < 0.05
     maps = map_set_of(found.exemplar)
-    assert maps.size == plane.size
-    assert bool(torch.isfinite(maps.stacked()).all())
+    assert maps.size == plane.size and bool(torch.isfinite(maps.stacked()).all())
     # Brightness is the truth's, whatever the network has learnt yet.
     ratio = maps.diffuse.mean((1, 2)) / shot.maps.diffuse.mean((1, 2))
     assert float((ratio.log()).abs().max()) < 0.25
@@ -85,9 +83,8 @@ def test_a_black_and_white_weave_is_as_bright_as_photographed() -> None:
     tone = np.array([0.8, -1.2, -3.5], np.float32)[dark]
     maps = replace(shot.maps, diffuse=shot.maps.diffuse * torch.from_numpy(tone).exp())
     linear = render_flash(maps, shot.uniform.setup, shot.points)
-    mean = tuple(maps.diffuse.mean((1, 2)).tolist())
-    coarse = replace(shot.uniform, diffuse=mean)
-    found = _found(plane_of(linear, torch.ones(192, 256, dtype=torch.bool)), coarse)
+    coarse = replace(shot.uniform, diffuse=tuple(maps.diffuse.mean((1, 2)).tolist()))
+    found = _found(whole_plane(linear), coarse)
     again = render_flash(map_set_of(found.exemplar), shot.uniform.setup, shot.points)
     ratio = again.mean((1, 2)) / linear.mean((1, 2)) / found.scale
     assert float(ratio.log().abs().max()) < 0.03
@@ -103,7 +100,7 @@ def test_white_tiles_keep_their_texture_where_the_fit_is_too_bright() -> None:
     linear = render_flash(maps, shot.uniform.setup, shot.points)
     mean = tuple(maps.diffuse.mean((1, 2)).tolist())
     coarse = replace(shot.uniform, diffuse=mean).scaled(0.7 / max(mean))
-    found = _found(plane_of(linear, torch.ones(192, 256, dtype=torch.bool)), coarse)
+    found = _found(whole_plane(linear), coarse)
     texture, true = (each.diffuse[:, white].log() for each in (map_set_of(found.exemplar), maps))
     assert float(texture.std(1).min()) > 0.7 * float(true.std(1).min())
     again = render_flash(map_set_of(found.exemplar), coarse.setup, shot.points)
@@ -120,12 +117,10 @@ def test_an_untrained_network_gives_maps_within_their_ranges() -> None:
 
 
 def test_confidence_is_zero_where_nothing_was_seen() -> None:
-    plane, coarse, shot = _plane(clip=float(photographed(0.15, 0.15, width=256, height=192)
-                                            .linear.quantile(0.98)))  # fmt: skip
+    plane, coarse, _ = _plane(clip=float(_plane()[2].linear.quantile(0.98)))
     found = _found(plane, coarse)
     unseen = ~plane.valid.numpy()
-    assert unseen.any()
-    assert float(found.exemplar.confidence[:, unseen].max()) == 0.0
+    assert unseen.any() and float(found.exemplar.confidence[:, unseen].max()) == 0.0
     assert float(found.exemplar.confidence[:, ~unseen].mean()) > 0.2
 
 
@@ -157,8 +152,7 @@ def test_texels_outside_of_the_photograph_are_no_highlight() -> None:
 def test_dark_grains_in_lit_places_are_valid() -> None:
     radiance = torch.full((3, 64, 64), 0.05)
     radiance[:, ::9, ::9] = 1e-5
-    assert bool(lit(radiance).all())
-    assert not lit(0.01 * radiance).any()
+    assert bool(lit(radiance).all()) and not lit(0.01 * radiance).any()
 
 
 def _expected(log: float) -> ExpectedErrors:
@@ -168,8 +162,7 @@ def _expected(log: float) -> ExpectedErrors:
 def test_confidence_falls_with_the_expected_error() -> None:
     seen = np.ones((64, 96), np.float32)
     sure, unsure = (confidence_of(_expected(e), seen, max(seen.shape)) for e in (-4.0, 0.0))
-    assert (sure > unsure).all()
-    assert sure.max() <= 1.0 and unsure.min() >= 0.0
+    assert (sure > unsure).all() and sure.max() <= 1.0 and unsure.min() >= 0.0
 
 
 def test_visibility_is_zero_in_a_hole_and_lower_beside_it() -> None:
@@ -200,11 +193,9 @@ def test_two_unclipped_channels_suffice_for_visibility(clipped: int, share: floa
 def test_confidence_counts_every_error_in_its_own_units() -> None:
     """Slope's are the smallest that count, then log albedo's; F0's and roughness's are alike."""
     seen = np.ones((64, 96), np.float32)
-    albedo, f0, roughness, slope = confidence_of(_expected(-1.5), seen, max(seen.shape)).mean(
-        (1, 2)
-    )
-    assert slope < 0.7 * albedo and albedo < 0.8 * f0
-    assert f0 == roughness
+    confidence = confidence_of(_expected(-1.5), seen, max(seen.shape))
+    albedo, f0, roughness, slope = confidence.mean((1, 2))
+    assert slope < 0.7 * albedo and albedo < 0.8 * f0 and f0 == roughness
 
 
 def test_weights_are_refused_when_damaged_or_missing(tmp_path: Path) -> None:
@@ -245,7 +236,7 @@ def test_relief_is_no_wider_than_the_highlight(
     uniform = replace(shot.uniform, roughness=roughness)
     maps = replace(shot.maps, roughness=torch.full_like(shot.maps.roughness, roughness))
     linear = render_flash(maps, uniform.setup, shot.points)
-    plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool))
+    plane = whole_plane(linear)
     observed, prediction = predict_maps(Observation.of(plane, uniform), load_inverse())
     guess = replace(
         prediction.classes.constrained(prediction.residuals, torch.ones(linear.shape[1:])),
@@ -276,29 +267,22 @@ def _points(width: int, height: int) -> torch.Tensor:
 
 def _flat(width: int, height: int) -> MapSet:
     one = torch.ones(1, height, width)
-    return MapSet(
-        torch.tensor(UNIFORM.diffuse)[:, None, None] * one,
-        0.04 * one,
-        0.5 * one,
-        0.0 * one,
-        2.0 / width,
-    )
+    albedo = torch.tensor(UNIFORM.diffuse)[:, None, None] * one
+    return MapSet(albedo, 0.04 * one, 0.5 * one, 0.0 * one, 2.0 / width)
 
 
 def test_uniform_radiance_equals_rendered_flat_maps() -> None:
     points = _points(64, 48)
     expected = render_flash(_flat(64, 48), SETUP, points)
     found, diffuse = uniform_radiance(UNIFORM, FlashLight.of(SETUP, points))
-    assert torch.allclose(found, expected, rtol=1e-4)
-    assert bool((diffuse < found).all())
+    assert torch.allclose(found, expected, rtol=1e-4) and bool((diffuse < found).all())
 
 
 def test_a_photograph_of_the_uniform_material_has_no_residual() -> None:
     points = _points(256, 192)
     linear = render_flash(_flat(256, 192), SETUP, points)
     inputs = network_inputs(linear, torch.ones(192, 256, dtype=torch.bool), UNIFORM, points)
-    assert inputs.stacked().shape == (INPUTS, 192, 256)
-    assert float(inputs.log.abs().max()) < 0.01
+    assert inputs.stacked().shape == (INPUTS, 192, 256) and float(inputs.log.abs().max()) < 0.01
 
 
 @pytest.mark.parametrize("fov", [40.0, 65.0, 90.0])
@@ -314,18 +298,6 @@ def test_slope_sensitivity_of_matte_is_the_tangent_of_the_light(fov: float) -> N
     tangent = (light - points)[:2] / (light - points)[2:]
     assert torch.allclose(inputs.tangent, tangent, atol=0.01)
     assert torch.allclose(inputs.slope_sensitivity, -tangent, atol=0.02)
-
-
-def test_residuals_plus_the_uniform_material_are_the_maps() -> None:
-    generator = torch.Generator().manual_seed(3)
-    draw = lambda channels: torch.rand(channels, 8, 12, generator=generator)  # noqa: E731
-    maps = MapSet(
-        0.1 + 0.5 * draw(3), 0.03 + 0.1 * draw(1), 0.2 + 0.6 * draw(1), 0.1 * draw(1), 2.0 / 12
-    )
-    uniform = UNIFORM.parameters()
-    residuals = SurfaceParameters.of(maps) - uniform
-    again = (uniform + residuals).maps(maps.texel_size)
-    assert torch.allclose(again.stacked(), maps.stacked(), atol=1e-5)
 
 
 def test_the_network_takes_any_aspect_and_starts_with_the_photograph_as_albedo() -> None:
@@ -380,14 +352,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shot = photographed(0.15, 0.2, width=320, height=240)
     linear = (shot.linear / shot.linear.quantile(0.995)).permute(1, 2, 0).numpy()
     photo = out / "bumps.png"
-    cv2.imwrite(
-        str(photo), (srgb_encode(linear.clip(0.0, 1.0))[..., ::-1] * 65535).astype(np.uint16)
-    )
+    codes = (srgb_encode(linear.clip(0.0, 1.0))[..., ::-1] * 65535).astype(np.uint16)
+    cv2.imwrite(str(photo), codes)
     result = CliRunner().invoke(
         app,
         ["capture", str(photo), "-o", str(out), "--preset", "instant", "--size", "64x64",
-         "--detail", "320",
-         "--aligned", "--generator", "example", "-q"],
+         "--detail", "320", "--aligned", "--generator", "example", "-q"],
     )  # fmt: skip
     assert result.exit_code == 0, result.output
     return out / photo.stem
@@ -447,8 +417,7 @@ def test_the_preview_shows_exemplar_and_photograph(folder: Path) -> None:
 @pytest.mark.capture
 def test_the_report_states_the_errors_of_the_exemplar(folder: Path) -> None:
     values = json.loads((folder / "report.json").read_text())["exemplar"]
-    assert 0.0 <= values["error"] < 0.5
-    assert 0.0 <= values["left_out"] < 0.5
+    assert 0.0 <= values["error"] < 0.5 and 0.0 <= values["left_out"] < 0.5
     assert 0.0 < values["relief_spectrum"]["relief"] < 1.0
     assert set(values["confidence"]) == {"diffuse", "specular", "roughness", "height"}
 

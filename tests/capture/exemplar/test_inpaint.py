@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from photographed import SETUP, Photographed, photographed
+from photographed import SETUP, Photographed, photographed, whole_plane
 
 from matcap.capture.exemplar.inpaint import Copies, composed, inpainted, transport
 from matcap.capture.exemplar.network.network import load_inverse
@@ -20,7 +20,6 @@ from matcap.files.color import srgb_decode, srgb_encode
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
-from matcap.flash.rectify import plane_of
 
 # Rings of albedo around the mirror point.
 
@@ -46,8 +45,7 @@ def away(mirror: tuple[float, float]) -> np.ndarray:
 def test_a_disc_is_found_within_its_radius(radius, gain):
     disc = away(MIRROR) < radius
     found = remaining_highlight(texture(0) * np.where(disc, gain, 1.0), KNOWN, away(MIRROR))
-    assert found[disc].all()
-    assert away(MIRROR)[found].max() < radius + 24.0
+    assert found[disc].all() and away(MIRROR)[found].max() < radius + 24.0
 
 
 def test_a_ring_is_found_with_what_it_surrounds_if_it_is_near():
@@ -77,8 +75,7 @@ def test_a_spot_away_from_the_mirror_point_is_kept():
 def test_a_narrow_core_is_found_off_the_fitted_mirror_point(off):
     core = away((MIRROR[0] + off[0], MIRROR[1] + off[1])) < 10.0
     found = remaining_highlight(texture(8) * np.where(core, 2.5, 1.0), KNOWN, away(MIRROR))
-    assert found[core].all()
-    assert found.sum() < 9 * core.sum()
+    assert found[core].all() and found.sum() < 9 * core.sum()
 
 
 def test_a_spot_like_others_is_kept():
@@ -116,7 +113,7 @@ def test_a_mirror_point_outside_of_the_picture_is_none():
 
 def test_a_spot_in_albedo_is_inpainted():
     shot = photographed(0.15, 0.15, width=512, height=384)
-    plane = plane_of(shot.linear, torch.ones(shot.linear.shape[1:], dtype=torch.bool))
+    plane = whole_plane(shot.linear)
     observed, prediction = predict_maps(Observation.of(plane, shot.uniform), load_inverse())
     prediction = refine_maps(observed, prediction)
     residuals = prediction.residuals
@@ -172,23 +169,29 @@ HOLE = (slice(100, 220), slice(180, 330))
 
 def _hidden(shot: Photographed, confidence: float = 1e-3) -> Exemplar:
     """Maps whose albedo is told nothing of inside the hole: flat and pale there."""
-    maps = shot.maps
-    trusted = np.ones((4, *maps.height.shape[-2:]), np.float32)
-    trusted[:, *HOLE] = confidence
-    albedo = maps.diffuse.clamp(0.0, 0.95).numpy().copy()
-    albedo[:, *HOLE] = 0.8
-    return Exemplar(
-        albedo, maps.specular.numpy(), maps.roughness.numpy(), maps.height.numpy(), trusted,
-        maps.texel_size,
-    )  # fmt: skip
+    exemplar = _certain(shot)
+    exemplar.confidence[:, *HOLE] = confidence
+    exemplar.diffuse[:, *HOLE] = 0.8
+    return exemplar
+
+
+def _certain(shot: Photographed) -> Exemplar:
+    maps = replace(shot.maps, diffuse=shot.maps.diffuse.clamp(0.0, 0.95))
+    return Exemplar.certain(maps.stacked().numpy(), maps.texel_size)
 
 
 def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) -> Exemplar:
     """Inpainted; the photograph is clipped in a hole, if any."""
+    return _transported(shot, exemplar, hole)[0]
+
+
+def _transported(
+    shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...]
+) -> tuple[Exemplar, Copies | None]:
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:
         valid[hole] = False
-    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)[0]
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:
@@ -315,6 +318,45 @@ def test_marks_are_not_copied_but_those_of_most_blocks_are(shot: Photographed) -
         assert bool((whole.diffuse[:, *HOLE] < 0.02).any()) == copied
 
 
+def _noise(shot: Photographed) -> np.ndarray:
+    """Log albedo of an irregular texture of two tones."""
+    noise = np.random.default_rng(5).standard_normal(shot.maps.height.shape[-2:])
+    blurred = cv2.GaussianBlur(noise.astype(np.float32), (0, 0), 1.5)
+    return 0.4 * np.tanh(3.0 * blurred / blurred.std())
+
+
+def _drawn(shot: Photographed, log: np.ndarray) -> Photographed:
+    """The photograph of an even material with this log albedo."""
+    albedo = 0.1 * torch.from_numpy(log).float().exp().expand(3, -1, -1)
+    maps = replace(shot.maps, diffuse=albedo)
+    return replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+
+
+def test_scratches_are_not_copied(shot: Photographed) -> None:
+    """Scratches are not shown again, though the texture's own tones differ as much."""
+    log = _noise(shot)
+    lines = np.zeros(log.shape, np.uint8)
+    for first in ((40, 20), (230, 222), (380, 230)):
+        for by in range(0, 60, 20):
+            cv2.line(lines, (first[0] + by, first[1]), (first[0] + by + 50, first[1] + 110), 1, 6)
+    lines[HOLE] = 0
+    scratched = _drawn(shot, np.where(lines, 0.8, log))
+    _, copies = _transported(scratched, _hidden(scratched), HOLE)
+    assert copies is not None
+    # The borders of blocks may touch one.
+    assert lines[copies.source[0], copies.source[1]][copies.copied].mean() < 0.01
+
+
+def test_no_place_is_copied_twice(shot: Photographed) -> None:
+    """With room for other places; the eye finds one next to itself."""
+    drawn = _drawn(shot, _noise(shot))
+    _, copies = _transported(drawn, _hidden(drawn), HOLE)
+    assert copies is not None
+    rows, columns = copies.source[:, copies.copied]
+    times = np.bincount(rows * 512 + columns)
+    assert times[times > 1].sum() < 0.1 * times.sum()
+
+
 def test_confident_scattered_or_tiny_exemplars_are_not_inpainted(shot: Photographed) -> None:
     exemplar = _hidden(shot)
     trusted = replace(exemplar, confidence=np.ones_like(exemplar.confidence))
@@ -324,11 +366,8 @@ def test_confident_scattered_or_tiny_exemplars_are_not_inpainted(shot: Photograp
     scattered = replace(exemplar, confidence=specks)
     assert _lent(shot, scattered) is scattered
     small = photographed(0.1, 0.5, width=40, height=30)
-    tiny = Exemplar(
-        small.maps.diffuse.clamp(0.0, 0.95).numpy(), small.maps.specular.numpy(),
-        small.maps.roughness.numpy(), small.maps.height.numpy(),
-        np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0), small.maps.texel_size,
-    )  # fmt: skip
+    diagonal = np.eye(30, 40, dtype=np.float32)[None].repeat(4, 0)
+    tiny = replace(_certain(small), confidence=diagonal)
     assert _lent(small, tiny) is tiny
 
 
@@ -357,8 +396,7 @@ def test_blocks_leave_no_steps_in_roughness(shot: Photographed) -> None:
     exemplar = replace(exemplar, roughness=np.broadcast_to(across, exemplar.roughness.shape).copy())
     filled = _lent(shot, exemplar, HOLE).roughness[0]
     steps = max(np.abs(np.diff(filled, axis=axis)).max() for axis in (0, 1))
-    assert np.abs(filled - exemplar.roughness[0]).max() > 0.01
-    assert steps < 0.03
+    assert np.abs(filled - exemplar.roughness[0]).max() > 0.01 and steps < 0.03
 
 
 # Copied texels meet without steps, and keep what they draw.
@@ -408,8 +446,7 @@ def test_a_drift_between_source_and_target_leaves_no_step():
     assert step(plain) > 4.0 and step(blended) < 1.5
     inside = (0, slice(26, 38), slice(26, 38))
     kept = np.corrcoef(np.diff(plain[inside]).ravel(), np.diff(blended[inside]).ravel())[0, 1]
-    assert kept > 0.98
-    assert np.array_equal(blended[:, ~FREE], maps[:, ~FREE])
+    assert kept > 0.98 and np.array_equal(blended[:, ~FREE], maps[:, ~FREE])
 
 
 def test_far_from_a_seam_texels_are_those_of_the_source():

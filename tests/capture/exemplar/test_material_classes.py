@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from photographed import photographed
+from photographed import SETUP, even, photographed
 
 from matcap.brdf.cook_torrance import METAL_F0, SurfaceParameters
 from matcap.capture.exemplar.mean_parameters import (
@@ -53,17 +53,23 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
         specular=light.residuals(replace(grey, specular=0.1 * one)).specular,
         roughness=light.residuals(replace(grey, roughness=0.45 * one)).roughness,
     )
-    x, y = flash_mirror_point(shot.uniform.setup)
-    shown = RingTarget(
-        linear=linear.clamp_max(1.0),
-        measured=linear < 1.0,
-        counts=torch.ones(HEIGHT, WIDTH, dtype=torch.bool),
-        distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
-        flash=light.flash,
-        normal=light.maps(read).normal,
-        surface=light.uniform,
-    )
+    shown = target(shot, linear, light.maps(read).normal, light.uniform)
     return shown, truth, read
+
+
+def target(shot, linear, normal, surface, setup=SETUP, limit: float = 1.0) -> RingTarget:
+    """Rings of a photograph that is clipped at a limit."""
+    x, y = flash_mirror_point(setup)
+    return RingTarget(
+        linear=linear.clamp_max(limit),
+        measured=linear < limit,
+        counts=torch.ones(linear.shape[1:], dtype=torch.bool),
+        distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
+        flash=FlashLight.of(setup, shot.points),
+        normal=normal,
+        surface=surface,
+        limit=limit,
+    )
 
 
 def doubtful(metal: torch.Tensor, noise: float = 0.5) -> torch.Tensor:
@@ -123,8 +129,7 @@ def test_albedo_of_dielectrics_and_f0_of_metal_vary_by_texel() -> None:
     assert torch.equal(constrained.height, truth.height)
     bare = metal[0] > 0.5
     off = constrained.specular - plain.specular - grain
-    assert float(off[:, bare].std()) < 1e-3
-    assert float(constrained.specular[:, ~bare].std()) < 1e-5
+    assert float(off[:, bare].std()) < 1e-3 and float(constrained.specular[:, ~bare].std()) < 1e-5
     assert float(constrained.diffuse[:, bare].std()) < 1e-5
 
 
@@ -176,45 +181,23 @@ def test_a_prediction_without_texture_is_one_class() -> None:
 # Levels of gloss from the profile of the highlight.
 
 
-MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH = 192, 256
-ONE = torch.ones(1, MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH)
+ONE = torch.ones(1, 192, 256)
 PRIOR = MeanParameterPrior(torch.zeros(1, 5), torch.tensor([[1.0, 1.0, 1.0, 0.15, 1.0]]))
 
 
-def glossy(
-    roughness: float, brightness: float = 1.0, limit: float = 1.0
-) -> tuple[RingTarget, Uniform]:
+def glossy(roughness: float, brightness: float = 1.0, limit: float = 1.0):
     """A photograph of an even dielectric with relief, and the surface that it is fitted from."""
-    shot = photographed(0.05, 0.0, width=MEAN_PARAMETERS_WIDTH, height=MEAN_PARAMETERS_HEIGHT)
-    maps = replace(
-        shot.maps,
-        diffuse=0.2 * ONE.expand(3, -1, -1),
-        specular=0.04 * ONE,
-        roughness=roughness * ONE,
-    )
-    linear = render_flash(maps, shot.uniform.setup, shot.points)
-    linear = linear * (0.3 / linear.median()) * brightness
-    gain = float(linear.median() / render_flash(maps, shot.uniform.setup, shot.points).median())
-    intensity = tuple(gain * power for power in shot.uniform.setup.intensity)
-    setup = shot.uniform.setup.with_intensity(intensity)
+    shot = even(photographed(0.05, 0.0, width=256, height=192), 0.2, roughness)
+    gain = 0.3 * brightness / float(shot.linear.median())
+    setup = SETUP.with_intensity(tuple(gain * power for power in SETUP.intensity))
     uniform = Uniform((0.3, 0.3, 0.3), 0.04, 0.5, setup)
-    x, y = flash_mirror_point(setup)
-    target = RingTarget(
-        linear=linear.clamp_max(limit),
-        measured=linear < limit,
-        counts=torch.ones(MEAN_PARAMETERS_HEIGHT, MEAN_PARAMETERS_WIDTH, dtype=torch.bool),
-        distance=torch.hypot(shot.points[0] - x, shot.points[1] - y),
-        flash=FlashLight.of(setup, shot.points),
-        normal=maps.normal,
-        surface=uniform.parameters(),
-        limit=limit,
-    )
-    return target, uniform
+    surface, normal = uniform.parameters(), shot.maps.normal
+    return target(shot, gain * shot.linear, normal, surface, setup, limit), uniform
 
 
-def fitted(target: RingTarget, uniform: Uniform) -> tuple[float, float, float]:
+def fitted(shown: RingTarget, uniform: Uniform) -> tuple[float, float, float]:
     """Mean albedo, F0 and roughness."""
-    levels, _ = fit_mean_parameters(target, ONE, torch.zeros(1, 5), PRIOR)
+    levels, _ = fit_mean_parameters(shown, ONE, torch.zeros(1, 5), PRIOR)
     found = (uniform.parameters() + SurfaceParameters.from_vector(levels[0])).reflectance()
     return float(found.diffuse.mean()), float(found.specular), float(found.roughness)
 
@@ -222,29 +205,28 @@ def fitted(target: RingTarget, uniform: Uniform) -> tuple[float, float, float]:
 @pytest.mark.parametrize("roughness", [0.2, 0.35, 0.6])
 def test_mean_parameters_are_recovered_under_relief(roughness: float) -> None:
     albedo, f0, found = fitted(*glossy(roughness, 0.2))
-    assert albedo == pytest.approx(0.2, rel=0.1)
-    assert f0 == pytest.approx(0.04, rel=0.15)
+    assert albedo == pytest.approx(0.2, rel=0.1) and f0 == pytest.approx(0.04, rel=0.15)
     assert found == pytest.approx(roughness, rel=0.1)
 
 
 def test_a_clipped_core_is_a_lower_bound() -> None:
-    target, uniform = glossy(0.25)
-    assert 0.01 < float((~target.measured).float().mean()) < 0.1
-    assert fitted(target, uniform)[2] == pytest.approx(0.25, rel=0.1)
+    shown, uniform = glossy(0.25)
+    assert 0.01 < float((~shown.measured).float().mean()) < 0.1
+    assert fitted(shown, uniform)[2] == pytest.approx(0.25, rel=0.1)
 
 
 @pytest.mark.parametrize("limit", [8.0, float("inf")])
 def test_light_above_white_is_measured(limit: float) -> None:
-    target, uniform = glossy(0.2, 2.0, limit)
-    assert float(target.linear.max()) > 4.0
-    albedo, f0, found = fitted(target, uniform)
+    shown, uniform = glossy(0.2, 2.0, limit)
+    assert float(shown.linear.max()) > 4.0
+    albedo, f0, found = fitted(shown, uniform)
     assert (albedo, f0) == (pytest.approx(0.2, rel=0.1), pytest.approx(0.04, rel=0.15))
     assert found == pytest.approx(0.2, rel=0.1)
 
 
 def test_what_is_clipped_everywhere_is_raised_and_never_lowered() -> None:
-    target, uniform = glossy(0.6, 0.2)
-    nothing = replace(target, measured=torch.zeros_like(target.measured))
+    shown, uniform = glossy(0.6, 0.2)
+    nothing = replace(shown, measured=torch.zeros_like(shown.measured))
     bright = replace(nothing, surface=nothing.surface + _paler(1.0))
     levels, _ = fit_mean_parameters(bright, ONE, torch.zeros(1, 5), PRIOR)
     assert float(levels.abs().max()) < 0.05
@@ -258,8 +240,8 @@ def _paler(by: float) -> SurfaceParameters:
 
 
 def test_the_linearisation_is_the_derivative_of_the_residuals() -> None:
-    target, _ = glossy(0.4, 0.3)
-    fit = _RingFit(target, ONE, PRIOR)
+    shown, _ = glossy(0.4, 0.3)
+    fit = _RingFit(shown, ONE, PRIOR)
     theta = torch.tensor([0.1, -0.1, 0.05, 0.02, 0.2])
     residual, columns = fit._linear(theta)
     assert torch.allclose(residual, fit.residuals(theta), atol=1e-4)

@@ -55,8 +55,7 @@ def test_slope_energies_are_measured_right(slope: float) -> None:
     # And in the band that holds most of them.
     band = int(np.square(true).sum(1).argmax())
     here = np.sqrt(np.square(found.slope[band]).sum() / np.square(true[band]).sum())
-    assert 0.8 < here < 1.25
-    assert np.square(found.slope[band]).sum() > 2.0 * found.deviation[band]
+    assert 0.8 < here < 1.25 and np.square(found.slope[band]).sum() > 2.0 * found.deviation[band]
     values = found.document()
     assert sum(b["slope"] ** 2 for b in values["bands"]) == pytest.approx(values["relief"] ** 2)
     assert [tuple(b["wavelengths"]) for b in values["bands"]] == list(BANDS)
@@ -67,9 +66,8 @@ def test_albedo_alone_is_not_taken_for_relief() -> None:
     assert np.sqrt(np.square(found.albedo).sum()) == pytest.approx(0.3, rel=0.35)
     relief = np.square(found.slope).sum(1)
     significant = np.square(relief) / (np.square(relief) + np.square(found.deviation) + 1e-12)
-    assert (
-        np.sqrt((significant * relief).sum()) < 0.3
-    )  # 0.3 of log albedo would be slopes of 1 where the light slants by 0.3
+    # 0.3 of log albedo would be slopes of 1 where the light slants by 0.3.
+    assert np.sqrt((significant * relief).sum()) < 0.3
 
 
 def test_one_band_of_energy_stays_in_its_band() -> None:
@@ -90,8 +88,7 @@ def test_clipped_sparkles_leave_the_spectrum_unchanged(least: float) -> None:
     whole = _along_x(measure_relief_spectrum(log, shows, np.ones(slopes.shape, bool)))[0]
     lost = np.random.default_rng(2).random(slopes.shape) < least
     found = measure_relief_spectrum(filled(log, ~lost), shows, ~lost)
-    assert found is not None
-    assert _along_x(found)[0] == pytest.approx(whole, rel=0.2)
+    assert found is not None and _along_x(found)[0] == pytest.approx(whole, rel=0.2)
 
 
 def test_streaks_stronger_at_the_rim_are_within_the_deviation() -> None:
@@ -159,8 +156,7 @@ def test_albedo_correlated_with_slope_is_separated() -> None:
     alone = _along_x(measure_relief_spectrum(shows[0] * slopes, shows, seen))[0]
     slope, albedo = _along_x(measure_relief_spectrum((shows[0] + 0.5) * slopes, shows, seen))
     # Energies of the same few windows scatter together: 0.28; without C it would be a half.
-    assert slope == pytest.approx(alone, rel=0.3)
-    assert albedo == pytest.approx(0.5 * alone, rel=0.4)
+    assert slope == pytest.approx(alone, rel=0.3) and albedo == pytest.approx(0.5 * alone, rel=0.4)
 
 
 def test_sensor_noise_is_not_albedo() -> None:
@@ -195,8 +191,7 @@ def test_relief_is_measured_from_the_photograph_alone() -> None:
     photo = photo_from_array(linear, long_side=768, fov=65.0, radiometric=True, name="bumps")
     coarse = fit_coarse(photo)
     result = measured_spectrum(Observation.of(read_plane(photo, coarse.setup, 768), coarse))
-    assert result is not None
-    assert result.relief == pytest.approx(true, rel=0.1)
+    assert result is not None and result.relief == pytest.approx(true, rel=0.1)
 
 
 def test_inspect_reports_the_relief_spectrum(tmp_path: Path) -> None:
@@ -302,8 +297,7 @@ def test_a_bulls_eye_is_equalised() -> None:
     even = equalise(faint, None)
     before = _strength(faint, middle)[0] / _strength(faint, rim)[0]
     after = _strength(even, middle)[0] / _strength(even, rim)[0]
-    assert before < 0.4
-    assert 0.55 < after < 1.3
+    assert before < 0.4 and 0.55 < after < 1.3
     assert 0.55 < _strength(even, middle)[1] / _strength(even, rim)[1] < 1.3
 
 
@@ -339,9 +333,7 @@ def _waves(fx: float, fy: float, size: int = 256) -> np.ndarray:
 
 def test_waves_are_as_strong_as_at_the_best_lit_places() -> None:
     """Light slants up to the right in the right half, and up to the left in the left one."""
-    right = np.repeat(np.array([0.0, 1.0], np.float32), 128)[None, :] * np.ones(
-        (256, 1), np.float32
-    )
+    right = np.tile(np.repeat(np.array([0.0, 1.0], np.float32), 128), (256, 1))
     shows = np.stack([np.ones_like(right), 2.0 * right - 1.0])
     rising, falling = _waves(0.06, -0.06), _waves(0.06, 0.06)  # rows count downwards
     even = equalise((0.3 + 0.7 * right) * rising + 0.5 * falling, None, shows)

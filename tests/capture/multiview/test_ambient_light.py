@@ -56,9 +56,8 @@ def lit():
 
 def _registration(lit, **changes):
     cameras, bright, _, (room, camera) = lit
-    views = [
-        RegisteredView(as_photo(shot, n, f"l{n}"), cameras[n]) for n, shot in enumerate(bright)
-    ]
+    photos = [as_photo(shot, n, f"l{n}") for n, shot in enumerate(bright)]
+    views = map(RegisteredView, photos, cameras)
     unlit = RegisteredView(replace(as_photo(room, 9, "room"), **changes), camera, flash=False)
     return Registration(FlashSetup(fov=PHONE.fov), (*views, unlit), ())
 
@@ -70,9 +69,8 @@ def test_ambient_light_is_subtracted(lit):
         before = shot.linear / shot.exposure
         wanted = true.linear / true.exposure
         after = view.photo.pixels / shot.exposure
-        off = [
-            np.abs(np.log(one.mean((0, 1)) / wanted.mean((0, 1)))).max() for one in (before, after)
-        ]
+        logs = (np.log(one.mean((0, 1)) / wanted.mean((0, 1))) for one in (before, after))
+        off = [np.abs(log).max() for log in logs]
         assert off[1] < 0.03 < 0.1 < off[0]
         assert any("subtracted" in note for note in view.photo.notes)
     assert cleaned[-1].photo.name == "room" and not cleaned[-1].photo.notes
@@ -125,9 +123,8 @@ def test_wrong_exposures_leave_most_of_the_light(lit):
 def test_the_subtracted_light_is_white_balanced(lit):
     plain = without_ambient(_registration(lit).views)
     lifted = without_ambient(_registration(lit, balance=(2.0, 1.0, 1.0)).views)
-    added = [
-        _registration(lit).views[0].photo.pixels - one[0].photo.pixels for one in (plain, lifted)
-    ]
+    before = _registration(lit).views[0].photo.pixels
+    added = [before - one[0].photo.pixels for one in (plain, lifted)]
     ratio = added[1].mean((0, 1)) / added[0].mean((0, 1))
     np.testing.assert_allclose(ratio, [0.5, 1.0, 1.0], rtol=0.02)
 
@@ -199,8 +196,7 @@ def test_ambient_light_improves_albedo_and_slopes():
         off.append(float((log - log.median()).abs().mean()))
         slopes = parameters_of(found.maps)[SLOPES] - parameters_of(maps)[SLOPES]
         astray.append(float(slopes.square().mean().sqrt()))
-    assert off[1] < 0.7 * off[0]
-    assert astray[1] < 0.8 * astray[0]
+    assert off[1] < 0.7 * off[0] and astray[1] < 0.8 * astray[0]
 
 
 def test_one_photograph_with_flash_and_one_without_make_a_capture(lit, tmp_path):
@@ -212,10 +208,8 @@ def test_one_photograph_with_flash_and_one_without_make_a_capture(lit, tmp_path)
     result = capture_into(tmp_path / "out", paths, settings, OutputSettings((32, 32)))
     assert result.material.name == "out" or result.photo.name == "leather.dng"
     values = json.loads((tmp_path / "out/report.json").read_text())["multi_view"]
-    assert [(one["name"], one["flash"]) for one in values["photographs"]] == [
-        ("leather.dng", True),
-        ("room.dng", False),
-    ]
+    lit_by = [(one["name"], one["flash"]) for one in values["photographs"]]
+    assert lit_by == [("leather.dng", True), ("room.dng", False)]
     assert values["photographs"][1]["leave_one_out_residual"] is None
     assert any("subtracted" in note for note in result.photo.notes)
 
@@ -231,8 +225,7 @@ def test_a_blurred_photograph_is_named(held):
     found = register_in_any_order([photos[0], photos[1], _smeared(photos[2])])
     assert [view.photo.name for view in found.views] == ["plaster_0", "plaster_1"]
     assert [one.name for one in found.left_out] == ["smeared_plaster_2"]
-    assert "it is blurred" in found.left_out[0].why
-    assert not found.blurred
+    assert "it is blurred" in found.left_out[0].why and not found.blurred
     assert "smeared_plaster_2 does not belong" in coverage(found)["belong"].says
 
 

@@ -84,8 +84,7 @@ def test_the_first_photograph_is_kept_where_others_predict_each_other_worse() ->
     assert LeaveOneOut(*(each[:2] for each in hardly[:2])).kept_first is None  # two: one prediction
     # What the first one's maps say of the first itself does not count.
     better = LeaveOneOut((0.3, 0.1, nan, 0.1), (0.01, 0.1, nan, 0.2))
-    assert better.kept_first is None
-    assert LeaveOneOut((), ()).kept_first is None
+    assert better.kept_first is None and LeaveOneOut((), ()).kept_first is None
 
 
 def test_each_half_of_the_photographs_has_cameras_to_several_sides() -> None:

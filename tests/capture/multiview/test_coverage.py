@@ -31,8 +31,7 @@ def looked(held, foreign):
 def test_cameras_are_found_and_a_foreign_photograph_is_named(held, looked):
     cameras, photos = held
     assert [view.photo.name for view in looked.views] == [photo.name for photo in photos]
-    assert [one.name for one in looked.left_out] == ["leather_9"]
-    assert looked.left_out[0].why
+    assert [one.name for one in looked.left_out] == ["leather_9"] and looked.left_out[0].why
     for view, camera in zip(looked.views[1:], cameras[1:], strict=True):
         apart = np.linalg.norm(view.camera.place - camera.place)
         assert apart < 0.03 * np.linalg.norm(camera.place)
@@ -45,8 +44,7 @@ def test_missing_sides_of_light_are_named(looked):
     # The second camera is moved to the right, the third to the top.
     assert values["lit_from"].says == "No photograph lights the sample from the left or bottom."
     assert values["lit_from"].rating is Rating.NOT_JUDGED
-    assert values["baseline"].rating is Rating.GOOD
-    assert values["overlap"].rating is Rating.GOOD
+    assert values["baseline"].rating is Rating.GOOD and values["overlap"].rating is Rating.GOOD
     assert 1.05 < values["union"].value < 2.0 and "--union" in values["union"].says
     assert json.loads(json.dumps(values.document()))["rating"] == "doubtful"
 
@@ -63,12 +61,12 @@ def test_a_steep_camera_is_named(looked):
 def test_deviations_of_cameras_are_findings(looked):
     found = coverage(looked)["cameras"]
     assert set(found.value) == {"plaster_1", "plaster_2"} and min(found.value.values()) > 0.0
-    sure, unsure = (
-        coverage(
-            replace(looked, views=tuple(replace(v, position_deviation=d) for v in looked.views))
-        )
-        for d in (0.001, 0.004)
-    )
+
+    def at(deviation):
+        views = tuple(replace(view, position_deviation=deviation) for view in looked.views)
+        return coverage(replace(looked, views=views))
+
+    sure, unsure = at(0.001), at(0.004)
     assert sure["cameras"].rating is Rating.GOOD and "0.10 %" in sure["cameras"].says
     assert unsure["cameras"].rating is Rating.NOT_JUDGED and "0.40 %" in unsure["cameras"].says
 
@@ -86,10 +84,8 @@ def test_a_report_warns_of_uncertain_cameras(looked):
 
 
 def test_a_report_states_that_the_first_photograph_is_kept(looked):
-    own = Mosaic.own((64, 48))
-    result = SetReport(
-        looked.views, (0.1,) * 3, (), (), (0.0,) * 4, (0.0,) * 3, own, None, (0.2, 0.1)
-    )
+    told = (0.1,) * 3, (), (), (0.0,) * 4, (0.0,) * 3, Mosaic.own((64, 48)), None, (0.2, 0.1)
+    result = SetReport(looked.views, *told)
     assert "plaster_0 alone does" in result.warning() and "0.200 and 0.100" in result.warning()
     assert result.document()["first_alone"]
 
@@ -111,9 +107,8 @@ def test_two_photographs_from_one_place_are_named(looked):
 def test_one_photograph_alone_has_failed(looked):
     values = coverage(replace(looked, views=looked.views[:1]))
     assert values.rating is Rating.FAILED
-    assert values["belong"].says.startswith(
-        "No other photograph shows the same sample as plaster_0."
-    )
+    none = "No other photograph shows the same sample as plaster_0."
+    assert values["belong"].says.startswith(none)
 
 
 def test_one_photograph_is_no_set(tmp_path):
@@ -138,8 +133,7 @@ def test_inspect_checks_sets(tmp_path, capsys):
         write_jpeg(tmp_path / f"plaster_{number}.jpg", one, number)
     assert main(["inspect", "--json", *paths]) == 0
     values = json.loads(capsys.readouterr().out)
-    assert values["together"]["belong"]["value"]["used"] == 2
-    assert len(values["photographs"]) == 2
+    assert values["together"]["belong"]["value"]["used"] == 2 and len(values["photographs"]) == 2
     assert main(["inspect", "--no-together", *paths]) == 0
     assert "together" not in capsys.readouterr().out
     assert main(["inspect", "--together", *paths]) == 0

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,6 +38,7 @@ from matcap.capture.report import write_outputs
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.cli.main import main
 from matcap.field.opened import open_photographed
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import OWN, FlashSetup, Margins, camera_in_plane, plane_points
 from matcap.photo.photo import Photo
 
@@ -51,9 +52,8 @@ SIZE = (128, 96)
 
 def _view(camera, flash=True):
     pixels = np.full((96, 128, 3), 0.5, np.float32)
-    photo = Photo(
-        pixels, np.zeros((96, 128), bool), PHONE.fov, "exif", True, "made", original_size=(128, 96)
-    )
+    none = np.zeros((96, 128), bool)
+    photo = Photo(pixels, none, PHONE.fov, "exif", True, "made", original_size=(128, 96))
     return RegisteredView(photo, camera, flash=flash)
 
 
@@ -67,9 +67,8 @@ def test_a_mosaic_keeps_the_texel_size_of_the_first_photograph():
     width, height = margins.around(SIZE)
     assert (width, height) == (171, 101)
     points = grid_points(width, height, margins.extent(SIZE[0]))
-    np.testing.assert_allclose(
-        points[:, *margins.inside(SIZE)], grid_points(*SIZE), rtol=0.0, atol=1e-12
-    )
+    inside = points[:, *margins.inside(SIZE)]
+    np.testing.assert_allclose(inside, grid_points(*SIZE), rtol=0.0, atol=1e-12)
     floats = plane_points(0, 0, width, height, (width, height), dtype=torch.float64)
     placed = margins.extent(SIZE[0]).placed(floats).numpy()
     np.testing.assert_allclose(placed, points, rtol=0.0, atol=1e-12)
@@ -106,8 +105,7 @@ def test_a_tilted_camera_extends_the_mosaic_as_far_as_it_sees_well():
     away = camera.place[:, None, None] - points
     seen = sees(camera, points, 0.75, STEEPEST)
     steep = np.degrees(np.arccos(away[2] / np.linalg.norm(away, axis=0)))
-    assert steep[seen].max() <= STEEPEST
-    assert sees(camera, points, 0.75, 89.0).sum() > seen.sum()
+    assert steep[seen].max() <= STEEPEST and sees(camera, points, 0.75, 89.0).sum() > seen.sum()
     # And no side of the box is hardly seen at all.
     known = seen_by_any([_view(_camera()), _view(camera)], mosaic).numpy()
     for side in (known[0], known[-1], known[:, 0], known[:, -1]):
@@ -160,15 +158,8 @@ def _beyond(prediction, reach=0.5, at=0.0):
     flat = replace(_drawn(SIZE), diffuse=torch.full((3, *SIZE[::-1]), 0.3))
     flat = replace(flat, height=torch.zeros(1, *SIZE[::-1]))
     spread = spread_over(Estimate(flat, torch.full((4, *SIZE[::-1]), -2.0)), mosaic.margins)
-    coarse = SimpleCoarse(setup)
+    coarse = CoarseFit((0.3,) * 3, 0.04, 0.5, setup, 0.0)
     return mosaic, flat, predicted_beyond(alignment, spread, mosaic, coarse, prediction)
-
-
-@dataclass(frozen=True)
-class SimpleCoarse:
-    """A coarse fit of which only the setup counts."""
-
-    setup: FlashSetup
 
 
 def _gold(plane, _fit):
@@ -252,9 +243,8 @@ def test_a_union_is_written_and_reported(captured, tmp_path):
     write_outputs(result, tmp_path / "leather", OutputSettings((32, 32)))
     check_report(tmp_path / "leather/report.json")
     values = json.loads((tmp_path / "leather/report.json").read_text())
-    assert values["multi_view"]["mosaic"]["area_ratio"] == pytest.approx(
-        result.estimate.several.mosaic.times
-    )
+    times = result.estimate.several.mosaic.times
+    assert values["multi_view"]["mosaic"]["area_ratio"] == pytest.approx(times)
     assert any("all that the photographs show" in note for note in values["notes"])
     assert values["settings"]["union"] is True
     assert values["effort"]["preset"] == "draft" and values["effort"]["steps"] == 0  # none was run
@@ -336,8 +326,7 @@ def test_a_prediction_is_resampled_to_the_first_photograph(cameras):
     found, log_error, weight = resampled(read, own, alignment, 1, OVER)
     true = parameters_of(_waves(grid_points(*OVER), 2.0 / OVER[0]))
     known = weight > 0.5
-    assert 0.3 < known.float().mean() < 1.0
-    assert float((found - true)[:, known].abs().max()) < 0.03
+    assert 0.3 < known.float().mean() < 1.0 and float((found - true)[:, known].abs().max()) < 0.03
     torch.testing.assert_close(log_error[:, known], torch.full_like(log_error[:, known], -2.0))
     # Weights fall to 0 at the border without a step.
     assert float(weight.min()) == 0.0 and float(weight.diff(dim=1).abs().max()) < 0.2

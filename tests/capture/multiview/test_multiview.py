@@ -60,9 +60,7 @@ def test_five_photographs_tell_relief_that_nothing_else_does():
     found = _solved(views, flattened(maps), light)
     assert _degrees(found.maps, maps) < 0.2 * _degrees(flattened(maps), maps)
     off = (found.maps.diffuse.log() - maps.diffuse.log()).abs().mean()
-    assert off < 0.03
-    assert max(found.residual) < 0.02
-    assert found.measured[3] > 0.5
+    assert off < 0.03 and max(found.residual) < 0.02 and found.measured[3] > 0.5
 
 
 def test_more_photographs_tell_more():
@@ -196,9 +194,8 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
     _, photos = held
     lines = []
     settings = CaptureSettings(preset="instant", detail=128)
-    result = capture_photo(
-        photos[0], settings, lines.append, others=[photos[1], foreign, photos[2]]
-    )
+    others = [photos[1], foreign, photos[2]]
+    result = capture_photo(photos[0], settings, lines.append, others=others)
     stages = [name for name in MULTIVIEW_STAGES if name not in ("read", "write")]
     assert list(dict.fromkeys(now.stage for now in lines)) == stages
     assert sum(MULTIVIEW_STAGES.values()) == pytest.approx(1.0)
@@ -229,8 +226,7 @@ def test_a_pair_keeps_the_highlight_of_glossy_tiles():
         rendered = picture_of(render_rectified(maps, captured.material.setup))
     before = captured.measurements.highlights[0]
     after = find_highlight(light_of(rendered.clip(max=captured.photo.headroom)))
-    assert before is not None and after is not None
-    assert 0.9 < after.contrast / before.contrast < 1.1
+    assert before is not None and after is not None and 0.9 < after.contrast / before.contrast < 1.1
     assert 0.9 < after.width / before.width < 1.2
 
 
@@ -258,8 +254,7 @@ def test_two_photographs_tell_how_strong_relief_is_of_which_half_was_read(steep)
     true, before, after = (
         float(parameters_of(maps)[SLOPES].square().mean()) for maps in (one, read, found.maps)
     )
-    assert before < 0.5 * true
-    assert 0.85 * true < after < 1.15 * true
+    assert before < 0.5 * true and 0.85 * true < after < 1.15 * true
 
 
 def test_energies_of_octaves_belong_to_wavelengths_not_to_texels():
@@ -310,9 +305,8 @@ def test_cameras_stand_where_they_stood_and_flashes_beside_them():
 
 def test_what_each_told_is_told():
     said = [line for line, _ in set_report_lines(report())]
-    assert (
-        said[0] == "1 oak_1.jpg: re-rendered within 2.0 %, predicted from the others within 4.0 %"
-    )
+    first = "1 oak_1.jpg: re-rendered within 2.0 %, predicted from the others within 4.0 %"
+    assert said[0] == first
     assert said[2] == "left out: cat.jpg, it shows something else"
     assert said[3].startswith("measured, not predicted: diffuse 90 %, specular 30 %")
 
@@ -322,15 +316,13 @@ def test_a_photograph_is_shown_beside_its_prediction_and_their_difference(turned
     true, predicted = np.full((48, 64, 3), 0.2, np.float32), np.full((48, 64, 3), 0.3, np.float32)
     result = report(pictures=(Prediction(1, true, true), Prediction(2, true, predicted)))
     drawn = np.asarray(draw_predicted(result, 1211, turned=turned)).astype(int)
-    here = drawn[
-        100, [100, 230, 360, 500, 630, 760]
-    ]  # of either: photographed, predicted, difference
+    # Of either: photographed, predicted, difference.
+    here = drawn[100, [100, 230, 360, 500, 630, 760]]
     codes = np.rint(255.0 * srgb_picture(np.array([0.2, 0.3], np.float32)))
     assert here[:2, 0] == pytest.approx(codes[[0, 0]], abs=1)
     assert here[3:5, 0] == pytest.approx(codes, abs=1)
-    assert here[2, 0] == 128 and here[5, 0] == pytest.approx(
-        127.5 + 2 * (codes[1] - codes[0]), abs=2
-    )
+    assert here[2, 0] == 128
+    assert here[5, 0] == pytest.approx(127.5 + 2 * (codes[1] - codes[0]), abs=2)
 
 
 def test_an_interrupted_set_has_predicted_nothing():

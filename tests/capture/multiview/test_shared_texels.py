@@ -76,8 +76,7 @@ def test_a_texel_without_a_solution_leaves_those_beside_it() -> None:
     system[:PARAMETERS, :, 4] *= -1.0
     found = solved_in_place(system)[:, 0]
     sound = torch.arange(9) != 4
-    assert torch.equal(found[:, sound], wanted[:, sound])
-    assert bool(found[:, 4].isnan().all())
+    assert torch.equal(found[:, sound], wanted[:, sound]) and bool(found[:, 4].isnan().all())
 
 
 def test_texels_that_nothing_is_measured_of_keep_their_prior() -> None:
@@ -156,8 +155,7 @@ def test_denoising_keeps_the_energy():
     true = _waves(0, 6.0)
     result, changes, _ = _estimate(true, 2.0)
     found = denoised(result, np.zeros_like(true), changes)
-    assert _energy(result - true) > 0.7
-    assert _energy(found - true) < 0.1
+    assert _energy(result - true) > 0.7 and _energy(found - true) < 0.1
     assert _energy(found) == pytest.approx(1.0, abs=0.1)
 
 
@@ -166,13 +164,11 @@ def test_the_prediction_is_calibrated_for_any_strength(strength):
     true = _waves(1, 3.0)
     result, changes, _ = _estimate(true, 0.5)
     found = denoised(result, strength * true, changes)
-    assert _energy(found) == pytest.approx(1.0, abs=0.07)
-    assert _energy(found - true) < 0.03
+    assert _energy(found) == pytest.approx(1.0, abs=0.07) and _energy(found - true) < 0.03
     # What was read too strong holds nothing back.
     weak = max(1.0 - strength, 0.0) ** 2
-    assert prediction_error(result, strength * true, changes)[0] == pytest.approx(
-        weak, rel=0.15, abs=0.02
-    )
+    error = prediction_error(result, strength * true, changes)[0]
+    assert error == pytest.approx(weak, rel=0.15, abs=0.02)
 
 
 def test_flat_relief_stays_flat():
@@ -257,8 +253,7 @@ def test_unknown_slopes_do_not_move_their_surroundings(slopes):
     away = torch.ones(SURFACE_SIZE, dtype=torch.bool)
     away[25:50, 35:65] = False
     off = (slopes_of(height, TEXEL) - slopes)[:, away].abs().mean()
-    assert off < 0.1 * slopes.abs().mean()
-    assert torch.isfinite(height).all()
+    assert off < 0.1 * slopes.abs().mean() and torch.isfinite(height).all()
 
 
 # Registration by rendering: misregistered photographs move, certain ones stay.
@@ -304,14 +299,12 @@ def moved():
 def test_threads_of_five_texels_are_moved_by_what_they_are_off(moved):
     """Twice as far, and photographs go to and fro for ever."""
     texels = moved(())
-    assert 0.3 < texels[3] < 0.5
-    assert max(abs(texels[k]) for k in (1, 2, 4)) < 0.15
+    assert 0.3 < texels[3] < 0.5 and max(abs(texels[k]) for k in (1, 2, 4)) < 0.15
 
 
 def test_a_held_photograph_stays_and_others_move(moved):
     texels = moved((0, 2, 3))
-    assert abs(texels[3]) < 1e-6 and abs(texels[2]) < 1e-6
-    assert abs(texels[1]) > 0.05
+    assert abs(texels[3]) < 1e-6 and abs(texels[2]) < 1e-6 and abs(texels[1]) > 0.05
 
 
 @pytest.fixture(scope="module")

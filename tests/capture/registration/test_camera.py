@@ -59,14 +59,16 @@ def test_points_behind_the_camera_are_not_seen():
 
 def _pairs(cameras, noise=0.0):
     rng = np.random.default_rng(1)
-    points = POINTS.reshape(3, -1)
-    seen = [camera.sees(points) for camera in cameras]
-    pairs = []
-    for other in seen[1:]:
-        both = (np.abs(seen[0]).max(0) < 1.0) & (np.abs(other).max(0) < 1.0)
-        off = noise * rng.normal(size=(2, int(both.sum())))
-        pairs.append(Pair(seen[0][:, both], other[:, both] + off, 1.0 / 800.0))
-    return pairs
+    first, *others = (camera.sees(POINTS.reshape(3, -1)) for camera in cameras)
+    noisy = [other + noise * rng.normal(size=other.shape) for other in others]
+    return _matches([first, *noisy], 1.0 / 800.0)
+
+
+def _matches(images, pixel):
+    """Of each picture's points those that it and the first one show."""
+    shown = [np.abs(image).max(0) < 1.0 for image in images]
+    pairs = zip(images[1:], shown[1:], strict=True)
+    return [Pair(images[0][:, shown[0] & by], one[:, shown[0] & by], pixel) for one, by in pairs]
 
 
 def test_exact_matches_give_the_cameras_back(monkeypatch):
@@ -155,9 +157,8 @@ def test_features_are_matched_that_are_nearest_both_ways(ratio):
     """As by OpenCV's matcher; more of them than one block of distances has."""
     rng = np.random.default_rng(0)
     first = rng.random((2100, 128), np.float32)
-    second = np.concatenate(
-        [first[rng.permutation(2100)[:1500]], rng.random((400, 128), np.float32)]
-    )
+    others = rng.permutation(2100)[:1500]
+    second = np.concatenate([first[others], rng.random((400, 128), np.float32)])
     second += 0.25 * rng.normal(size=second.shape).astype(np.float32)
     forth = cv2.BFMatcher().knnMatch(first, second, k=2)
     back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(second, first)}
@@ -193,25 +194,18 @@ def _adjusted(seed, noise, depths, count=800):
         image = camera.sees(np.stack([*(points + moved), np.zeros(count)]))
         return image + noise * PIXEL * rng.normal(size=image.shape)
 
-    images = [seen(camera) for camera in cameras]
-    pairs = []
-    for image in images[1:]:
-        both = (np.abs(images[0]).max(0) < 1.0) & (np.abs(image).max(0) < 1.0)
-        pairs.append(Pair(images[0][:, both], image[:, both], PIXEL))
+    pairs = _matches([seen(camera) for camera in cameras], PIXEL)
     return cameras, pairs, adjust(FlashSetup(fov=PHONE.fov), pairs, known=True)
 
 
 def _position_errors(true, found):
     """Errors of positions relative to the first camera, over their distance."""
-
-    first, *others = found.cameras
-    return np.array(
-        [
-            np.linalg.norm(relative_position(first, camera) - relative_position(true[0], other))
-            / np.linalg.norm(other.place)
-            for camera, other in zip(others, true[1:], strict=True)
-        ]
+    places, wanted = (
+        np.array([relative_position(cameras[0], camera) for camera in cameras[1:]])
+        for cameras in (found.cameras, true)
     )
+    distances = np.linalg.norm([camera.place for camera in true[1:]], axis=1)
+    return np.linalg.norm(places - wanted, axis=1) / distances
 
 
 def _misregistration(true, found):

@@ -105,13 +105,11 @@ def _photographs(albedo):
         points = camera.on_plane(image)
         away = camera.flash((0.04, -0.07, 0.0))[:, None, None] - points
         lit = albedo(points) * away[2] / np.square(away).sum(0) ** 1.5
-        small = cv2.resize(
-            lit / lit.max(), (PHONE.width, PHONE.height), interpolation=cv2.INTER_AREA
-        )
+        size = (PHONE.width, PHONE.height)
+        small = cv2.resize(lit / lit.max(), size, interpolation=cv2.INTER_AREA)
         noise = np.random.default_rng(number).normal(size=(*small.shape, 3))
         pixels = (0.9 * small[..., None] + 0.003 * noise).clip(1e-4, 1.0).astype(np.float32)
         clipped = (pixels >= 1.0).any(-1)
-        size = (PHONE.width, PHONE.height)
         photos.append(Photo(pixels, clipped, PHONE.fov, "exif", True, f"p{number}", size))
     return cameras, photos
 

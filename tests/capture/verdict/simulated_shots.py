@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from simulated.materials import realise
+from simulated.materials import piece
 from simulated.photographs import PhoneCamera, as_photo, take, true_maps
 
 from matcap.brdf.maps import MapSet
@@ -14,15 +14,10 @@ CAMERA = PhoneCamera(width=384, height=288, supersampling=1, blur=0.5)
 SETUP = FlashSetup(offset=(0.05, 0.04, 0.0), tilt=(0.02, -0.01), vignetting=0.02)
 
 
-def piece(name, seed=3):
-    """One realisation of a material, as take() wants it."""
-    return lambda width, height, texel: realise(name, width, height, seed, texel)
-
-
 @cache
 def shot(name):
     """A photograph under its flash, and what is true of it."""
-    return take(piece(name), CAMERA, SETUP)
+    return take(piece(name, 3), CAMERA, SETUP)
 
 
 @cache

@@ -11,13 +11,13 @@ from matcap.flash.geometry import FlashSetup, camera_in_plane, flash_mirror_poin
 
 
 SETUP = FlashSetup(offset=(0.2, -0.1, 0.0), tilt=(0.05, -0.03))
-EXEMPLAR_MEASUREMENTS_SIZE = (192, 144)
+SIZE = (192, 144)
 
 
 def piece(**changes):
     """Noise all over, and what is changed of it."""
     rng = np.random.default_rng(3)
-    shape = EXEMPLAR_MEASUREMENTS_SIZE[::-1]
+    shape = SIZE[::-1]
     maps = {
         "diffuse": np.exp(rng.normal(-1.5, 0.2, (3, *shape))),
         "specular": np.exp(rng.normal(-3.0, 0.1, (1, *shape))),
@@ -27,16 +27,14 @@ def piece(**changes):
     }
     maps |= {name: change(maps[name]) for name, change in changes.items()}
     maps = {name: values.astype(np.float32) for name, values in maps.items()}
-    return Exemplar(**maps, texel_size=2.0 / EXEMPLAR_MEASUREMENTS_SIZE[0])
+    return Exemplar(**maps, texel_size=2.0 / SIZE[0])
 
 
 def away():
     x, y = flash_mirror_point(SETUP)
-    v, u = np.mgrid[: EXEMPLAR_MEASUREMENTS_SIZE[1], : EXEMPLAR_MEASUREMENTS_SIZE[0]] + 0.5
-    return np.hypot(
-        2.0 * u / EXEMPLAR_MEASUREMENTS_SIZE[0] - 1.0 - x,
-        (EXEMPLAR_MEASUREMENTS_SIZE[1] - 2.0 * v) / EXEMPLAR_MEASUREMENTS_SIZE[0] - y,
-    )
+    width, height = SIZE
+    v, u = np.mgrid[:height, :width] + 0.5
+    return np.hypot(2.0 * u / width - 1.0 - x, (height - 2.0 * v) / width - y)
 
 
 def test_the_mirror_point_is_where_a_mirror_shows_the_flash():
@@ -65,8 +63,7 @@ def test_a_disc_is_told_in_its_map_alone(map_name, mark):
     # Rings of equal counts: six, and the disc has its share of them.
     share = float((away() < 0.5).mean())
     expected = 0.1 * np.sqrt(share * (1.0 - share))
-    assert found.pop(mark) == pytest.approx(expected, rel=0.2)
-    assert max(found.values()) < 0.03
+    assert found.pop(mark) == pytest.approx(expected, rel=0.2) and max(found.values()) < 0.03
 
 
 def test_grain_that_fades_towards_the_mirror_point_is_told():
@@ -79,5 +76,4 @@ def test_a_stain_elsewhere_counts_for_little_and_chance_for_nothing():
     distances = rng.uniform(size=(18, 24))
     scatter = [in_rings(rng.normal(size=(18, 24)), distances) for _ in range(200)]
     # Of variances, chance adds nothing on the mean; cut off at 0 it is a little.
-    assert np.mean(np.square(scatter)) < 0.01
-    assert np.median(scatter) < 0.05
+    assert np.mean(np.square(scatter)) < 0.01 and np.median(scatter) < 0.05

@@ -94,8 +94,7 @@ def test_severity_is_one_two_and_three_at_the_limits_and_grows_between(check):
 
 @pytest.mark.parametrize("check", [c for c in RATED.values() if c.factor], ids=lambda c: c.key)
 def test_a_factor_counts_alike_above_and_below_one(check):
-    assert check.severity(1.0) == 0.0
-    assert check.severity(0.4) == pytest.approx(check.severity(2.5))
+    assert check.severity(1.0) == 0.0 and check.severity(0.4) == pytest.approx(check.severity(2.5))
 
 
 def test_every_row_of_the_table_is_said_of_something(leather):
@@ -434,8 +433,7 @@ def test_the_light_at_a_wrong_place_is_no_good(leather):
     moved = replace(setup, offset=(0.7, -0.4, 0.0))
     again = render_rectified(shots.maps("leather", seed=4), moved)
     verdict = judge(_seen(photo, seen, again))
-    assert not verdict.fit
-    assert verdict.worst.name in {"highlight_contrast", "light", "colour"}
+    assert not verdict.fit and verdict.worst.name in {"highlight_contrast", "light", "colour"}
 
 
 def test_another_material_is_no_good(leather):
@@ -450,8 +448,7 @@ def captured(photo):
 
 def test_a_good_photograph_is_not_called_failed_and_shows_no_cause():
     verdict = captured(shots.good("leather"))
-    assert verdict.rating is not Rating.FAILED
-    assert verdict.causes == ()
+    assert verdict.rating is not Rating.FAILED and verdict.causes == ()
 
 
 ONE_FAULT = {
@@ -551,8 +548,7 @@ def highlight_of(glossy, **factors):
 def test_a_capture_with_the_photographed_gloss_is_usable(glossy):
     seen = highlight_of(glossy)
     assert seen.profile.contrast[0] > 4.0 and not seen.profile.bound
-    assert 0.8 < seen.profile.ratio < 1.25
-    assert judge(seen).fit
+    assert 0.8 < seen.profile.ratio < 1.25 and judge(seen).fit
 
 
 @pytest.mark.parametrize("factors", [{"specular": 0.25}, {"roughness": 2.0}, {"specular": 4.0}])
@@ -567,12 +563,8 @@ def test_contrast_is_of_radiance_over_an_even_matte_surface(glossy):
     """F0 adds to the highlight in proportion: L = diffuse + F0 S, where the surround has no S."""
     photo, setup, picture = glossy
     seen = _valid(photo, setup, picture)
-    once, half = (
-        highlight_profile(
-            (picture, rendered_again(setup, specular=factor)), seen, seen, setup
-        ).contrast[1]
-        for factor in (1.0, 0.5)
-    )
+    pictures = ((picture, rendered_again(setup, specular=factor)) for factor in (1.0, 0.5))
+    once, half = (highlight_profile(each, seen, seen, setup).contrast[1] for each in pictures)
     assert half - 1.0 == pytest.approx(0.5 * (once - 1.0), rel=0.1)
 
 
@@ -592,8 +584,7 @@ def test_a_faint_highlight_that_is_lost_is_missed_and_a_strong_one_is_another_ma
         before = replace(SPOT, peak=contrast * SPOT.surroundings)
         return named(replace(FINE, highlights=(before, None)))["highlight_contrast"].severity
 
-    assert 1.0 < severity_of(2.1) < 2.0
-    assert severity_of(6.0) > 3.0
+    assert 1.0 < severity_of(2.1) < 2.0 and severity_of(6.0) > 3.0
 
 
 def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():
@@ -605,8 +596,7 @@ def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():
         seen = replace(FINE, highlights=(faint, after), profile=None)
         return named(seen)["highlight_contrast"].severity
 
-    assert severity_of(2.01) < 0.1
-    assert severity_of(2.3) < severity_of(2.6) < severity_of(3.2)
+    assert severity_of(2.01) < 0.1 and severity_of(2.3) < severity_of(2.6) < severity_of(3.2)
     assert severity_of(7.0) > 3.0
 
 

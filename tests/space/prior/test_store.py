@@ -43,8 +43,7 @@ def test_a_prior_is_read_back_in_half_precision(prior, path):
     again = load_prior(path)
     for name, value in prior.decoder.state_dict().items():
         assert torch.equal(again.decoder.state_dict()[name], value.half().float())
-    assert again.about == {"steps": 0}
-    assert again.encoder.config == prior.encoder.config
+    assert again.about == {"steps": 0} and again.encoder.config == prior.encoder.config
 
 
 @pytest.mark.parametrize(
@@ -115,8 +114,7 @@ def test_a_start_states_the_photographs_base(prior):
 def test_draws_repeat_and_differ_by_seed(prior):
     first, again, other = prior.draw(5), prior.draw(5), prior.draw(6)
     one, two, three = (m.maps(64, 64).stacked() for m in (first, again, other))
-    assert torch.equal(one, two)
-    assert float((one - three).abs().mean()) > 1e-3
+    assert torch.equal(one, two) and float((one - three).abs().mean()) > 1e-3
     assert bool(torch.isfinite(one).all())
 
 
@@ -192,8 +190,7 @@ def test_a_draw_may_be_near_a_given_code(known):
     here = anchor(7, WOVEN)
     at, near, far = (known.draw(3, near=here, spread=t) for t in (0.0, 0.3, 1.0))
     at, near, far = (material.part(TunedDecoder) for material in (at, near, far))
-    assert torch.equal(at.code, here.code)
-    assert [each.waves for each in (at, near)] == [WOVEN, WOVEN]
+    assert torch.equal(at.code, here.code) and [each.waves for each in (at, near)] == [WOVEN, WOVEN]
     assert float((near.code - here.code).norm()) < float((far.code - here.code).norm())
 
 
@@ -213,6 +210,5 @@ def test_a_photograph_is_encoded_to_a_place(known):
 def test_anchors_come_back_with_their_prior(known, tmp_path):
     known.save(tmp_path / "prior.safetensors")
     again = load_prior(tmp_path / "prior.safetensors")
-    assert len(again.anchors) == 2
-    assert torch.equal(again.anchors.codes, known.anchors.codes)
+    assert len(again.anchors) == 2 and torch.equal(again.anchors.codes, known.anchors.codes)
     assert again.anchors[0].waves == WOVEN and again.anchors[1].waves == ()

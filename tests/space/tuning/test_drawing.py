@@ -69,9 +69,8 @@ def test_the_field_has_the_drawing_of_its_seed(drawn, drawing):
     """Against the same decoder with another exemplar, which differs in nothing but the drawing."""
     tuned = drawn.part(TunedDecoder)
     other = replace(tuned, drawing=Drawing(Example.of(blobs(seed=2))))
-    one, second = (
-        each.material("m", drawn.setup).maps(96, 64).stacked() for each in (tuned, other)
-    )
+    made = (each.material("m", drawn.setup) for each in (tuned, other))
+    one, second = (each.maps(96, 64).stacked() for each in made)
     assert (one[:3] - second[:3]).abs().mean() > 0.01
 
 
@@ -83,8 +82,7 @@ def test_another_seed_is_another_drawing(drawn):
     decoder.down[0][0].convolution.weight.data.zero_()
     material = replace(tuned, decoder=decoder).material("m", drawn.setup)
     first, again, other = (material.maps(64, 64, seed=seed).diffuse for seed in (1, 1, 2))
-    assert torch.equal(first, again)
-    assert (first - other).abs().mean() > 0.01
+    assert torch.equal(first, again) and (first - other).abs().mean() > 0.01
 
 
 def test_its_periods_are_those_of_both_generators(drawn, drawing):
@@ -95,8 +93,7 @@ def test_its_periods_are_those_of_both_generators(drawn, drawing):
 def test_what_is_taught_is_the_field_that_is_drawn(drawing):
     lesson = Teacher.of(drawing, 48, 5).lesson(7)
     assert lesson.drawing[0].shape == (1, DRAWING_CHANNELS, 48 + 2 * MARGIN, 48 + 2 * MARGIN)
-    assert lesson.maps.size == (48, 48)
-    assert float(lesson.loss(lesson.maps)) == 0.0
+    assert lesson.maps.size == (48, 48) and float(lesson.loss(lesson.maps)) == 0.0
     shifted = replace(lesson.maps, diffuse=lesson.maps.diffuse.roll(5, -1))
     bumpy = replace(lesson.maps, height=lesson.maps.height.roll(5, -1))
     assert float(lesson.loss(shifted)) > 0.1 and float(lesson.loss(bumpy)) > 0.01
@@ -113,14 +110,8 @@ def test_fine_tuned_it_draws(drawing):
 
     def difference(decoder, moments):
         with torch.no_grad():
-            maps = decode_window(
-                decoder.config,
-                lambda field: decoder(field, CODE, moments),
-                target,
-                5,
-                held_out,
-                half_precision=False,
-            )
+            run = lambda field: decoder(field, CODE, moments)  # noqa: E731
+            maps = decode_window(decoder.config, run, target, 5, held_out, half_precision=False)
             return float(held_out.loss(maps))
 
     before = difference(with_drawing(start()), None)
@@ -138,9 +129,8 @@ def test_the_weights_that_read_a_drawing_move_farther():
     optimiser.step(rate)
     after, of_lattice = decoder.up[0][0].convolution.weight, decoder.config.lattice_channels
     moved = (before - after.detach()).mean((0, 2, 3)) / rate
-    features, drawn, lattice = moved.split(
-        [len(moved) - of_lattice - DRAWING_CHANNELS, DRAWING_CHANNELS, of_lattice]
-    )
+    of_features = len(moved) - of_lattice - DRAWING_CHANNELS
+    features, drawn, lattice = moved.split([of_features, DRAWING_CHANNELS, of_lattice])
     assert drawn.tolist() == pytest.approx([9.0] * DRAWING_CHANNELS, rel=1e-3)
     assert torch.cat([features, lattice]).sub(1.0).abs().max() < 1e-3
 
@@ -162,10 +152,8 @@ def test_clouds_larger_than_a_window_are_seen_in_fine_tuning(drawn, drawing):
     decoder, area = tuned.decoder, Rectangle(0, 0, 128, 128)
     noise = random_field(Patch(1, area, period=(128, 128)), SMALL.noise_channels, (), levels=DEPTH)
     field = replace(noise, drawing=drawing.levels(1, area, (128, 128)))
-    bright, dark = (
-        replace(field, drawing=tuple(level + offset for level in field.drawing))
-        for offset in (0.7, -0.7)
-    )
+    moved = ([level + offset for level in field.drawing] for offset in (0.7, -0.7))
+    bright, dark = (replace(field, drawing=tuple(levels)) for levels in moved)
 
     def contrast(decode):
         return (decode(bright) - decode(dark)).mean((0, 2, 3))
@@ -198,15 +186,9 @@ def test_the_file_has_the_exemplar_and_says_so(drawn, tmp_path, capsys):
 
 @pytest.mark.parametrize("channels", [1, -2])
 def test_a_file_with_another_drawing_is_refused(tmp_path, monkeypatch, drawn, channels):
-    about = drawn.part(TunedDecoder).in_file
-    monkeypatch.setattr(
-        TunedDecoder,
-        "in_file",
-        lambda self, by_example: (
-            about()[0],
-            about()[1] | {"decoder": about()[1]["decoder"] | {"drawing": channels}},
-        ),
-    )
+    arrays, about = drawn.part(TunedDecoder).in_file()
+    about["decoder"]["drawing"] = channels
+    monkeypatch.setattr(TunedDecoder, "in_file", lambda self, by_example: (arrays, about))
     drawn.save(tmp_path / "m.matcap")
     with pytest.raises(MatcapError, match="channels of a drawing"):
         Material.load(tmp_path / "m.matcap")
@@ -248,9 +230,8 @@ def test_beside_an_exemplar_it_draws_from_that(tmp_path, example, turned):
     alone = a_material("both", config=SMALL, drawing=drawing)
     setup = replace(alone.setup, turned=turned)
     tuned = replace(alone.part(TunedDecoder), texel_size=drawing.texel_size, turned=turned)
-    both = Material(
-        "both", {"example": example, "decoder": tuned}, example.texel_size, setup
-    ).preferring("decoder")
+    parts = {"example": example, "decoder": tuned}
+    both = Material("both", parts, example.texel_size, setup).preferring("decoder")
     both.save(tmp_path / "both.matcap")
     loaded = Material.load(tmp_path / "both.matcap")
     assert loaded.made_by == "decoder" and loaded.texel_size == 2 * example.texel_size
@@ -267,12 +248,10 @@ def test_beside_an_exemplar_it_draws_from_that(tmp_path, example, turned):
     lying = Rectangle(area.y, -area.x - area.width, area.height, area.width) if turned else area
     drawn = drawing.around(3, lying)
     assert torch.equal(drawn.rot90(-1, (1, 2)) if turned else drawn, halved)
-    sizes = [
-        (tmp_path / name).stat().st_size
-        for name, material in (("a", fine), ("b", both.by("decoder")))
-        for _ in [material.save(tmp_path / name)]
-    ]
-    assert (tmp_path / "both.matcap").stat().st_size < sum(sizes)
+    fine.save(tmp_path / "a")
+    both.by("decoder").save(tmp_path / "b")
+    size, *apart = ((tmp_path / name).stat().st_size for name in ("both.matcap", "a", "b"))
+    assert size < sum(apart)
     alone = Material.load(tmp_path / "b")
     assert torch.equal(alone.maps(64, 48, seed=3, x=16, y=-32).stacked(), one.stacked())
 

@@ -8,16 +8,12 @@ from functools import cache
 import pytest
 import torch
 from plain_decoder import decoded
-from tuning import CODE as TUNING_CODE
-from tuning import CODE as TUNING_CODE_function
-from tuning import CONFIG as TUNING_CONFIG
-from tuning import CONFIG as TUNING_CONFIG_function
-from tuning import WINDOW, scene, start, tune
+from tuning import CODE, CONFIG, WINDOW, scene, start, tune
 
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
 from matcap.flash.light import render_flash
-from matcap.space.decoder import CODE_SIZE, DEPTH, Decoder, DecoderConfig, maps_from_raw, with_cells
+from matcap.space.decoder import DEPTH, Decoder, DecoderConfig, maps_from_raw, with_cells
 from matcap.space.freeze import fold, freeze
 from matcap.space.random_field import CELL_CHANNELS, WAVE_CHANNELS, Patch, RandomField, random_field
 from matcap.space.tuning import finetune
@@ -34,15 +30,9 @@ def error_of(decoder, moments=None):
     seen, seeds, total = scene(), range(100, 108), 0.0
     with torch.no_grad():
         for seed in seeds:
-            field = random_field(
-                Patch(seed, Rectangle(0, 0, WINDOW, WINDOW), period=(WINDOW, WINDOW)),
-                TUNING_CONFIG.noise_channels,
-                (),
-                levels=DEPTH,
-            )
-            maps = maps_from_raw(
-                decoder(field, TUNING_CODE, moments), seen.texel_size, periodic=True
-            )
+            patch = Patch(seed, Rectangle(0, 0, WINDOW, WINDOW), period=(WINDOW, WINDOW))
+            field = random_field(patch, CONFIG.noise_channels, (), levels=DEPTH)
+            maps = maps_from_raw(decoder(field, CODE, moments), seen.texel_size, periodic=True)
             rendered = render_flash(maps, seen.setup, seen.windows.points)
             found = describe(rendered, seen.encoding, seen.bank)
             total += float(distance(found, seen.windows.target, Weights()).mean())
@@ -71,16 +61,14 @@ def test_the_error_falls_on_unseen_noise():
 def test_the_returned_decoder_is_the_optimised_one():
     """Frozen statistics belong to the decoder: folded, it is the same network."""
     tuned = tuned_long()
-    folded = fold(tuned.decoder, TUNING_CODE, tuned.moments, has_waves=False)
-    field = random_field(
-        Patch(7, Rectangle(0, 0, 256, 256)), TUNING_CONFIG.noise_channels, (), levels=DEPTH
-    )
+    folded = fold(tuned.decoder, CODE, tuned.moments, has_waves=False)
+    patch = Patch(7, Rectangle(0, 0, 256, 256))
+    field = random_field(patch, CONFIG.noise_channels, (), levels=DEPTH)
     with torch.no_grad():
-        one = decoded(folded, field)[..., 96:-96, 96:-96]
-        other = tuned.decoder(field, TUNING_CODE, list(tuned.moments), periodic=False)[
-            ..., 96:-96, 96:-96
-        ]
-    assert torch.allclose(one, other, atol=1e-4)
+        one = decoded(folded, field)
+        other = tuned.decoder(field, CODE, list(tuned.moments), periodic=False)
+    inner = (..., slice(96, -96), slice(96, -96))
+    assert torch.allclose(one[inner], other[inner], atol=1e-4)
     # And its frozen error is no worse than with statistics of the window at hand.
     assert error_of(tuned.decoder, list(tuned.moments)) < 1.15 * error_of(tuned.decoder)
 
@@ -91,8 +79,7 @@ def test_the_number_of_steps_is_kept(steps):
     tuned = tune(lambda *now: lines.append(now), steps=steps)
     assert len(tuned.history) == len(lines) == steps
     assert [step for _, step, _ in tuned.history] == list(range(1, steps + 1))
-    assert len(tuned.moments) == len(tuned.decoder.layers())
-    assert not tuned.interrupted
+    assert len(tuned.moments) == len(tuned.decoder.layers()) and not tuned.interrupted
 
 
 def test_the_time_limit_is_kept(monkeypatch):
@@ -101,9 +88,7 @@ def test_the_time_limit_is_kept(monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: next(ticks) / 100.0)
     tuned = tune(steps=10**6, seconds=0.5)
     seconds = [second for second, _, _ in tuned.history]
-    assert seconds == sorted(seconds)
-    assert 0.4 < seconds[-1] <= 0.52
-    assert 10 <= len(seconds) <= 50
+    assert seconds == sorted(seconds) and 0.4 < seconds[-1] <= 0.52 and 10 <= len(seconds) <= 50
     assert len(tuned.moments) == len(tuned.decoder.layers())
 
 
@@ -120,8 +105,7 @@ def test_ctrl_c_returns_the_best_so_far():
             raise KeyboardInterrupt
 
     tuned = tune(interrupt, steps=40)
-    assert tuned.interrupted
-    assert 15 <= len(tuned.history) <= 25
+    assert tuned.interrupted and 15 <= len(tuned.history) <= 25
     assert error_of(tuned.decoder, list(tuned.moments)) < error_at_the_start()
 
 
@@ -211,10 +195,9 @@ def test_outliers_are_penalised_in_the_second_half_and_patches_never(monkeypatch
     none = torch.zeros(64, 64, dtype=torch.bool)
     patches = (row[:, None] // 16 + row // 16) % 3 == 0
     specks = (row[:, None] % 16 == 3) & (row % 16 == 5)
-    assert (
-        paid(specks, 0.4) == paid(none, 0.4) == paid(none, 0.6) == pytest.approx(paid(patches, 0.6))
-    )
-    assert paid(specks, 0.6) > paid(none, 0.6) + 0.01
+    free = paid(none, 0.6)
+    assert paid(specks, 0.4) == paid(none, 0.4) == free == pytest.approx(paid(patches, 0.6))
+    assert paid(specks, 0.6) > free + 0.01
 
 
 COPPER = torch.tensor([0.955, 0.638, 0.538])[:, None, None]
@@ -226,8 +209,7 @@ def test_a_coloured_f0_has_the_penalty_of_its_mean(share):
     grey = MapSet.from_stacked(draw, 0.1)
     coloured = replace(grey, specular=grey.specular * COPPER / COPPER.mean())
     paid, owed = (map_penalty(m, torch.zeros(5), share) for m in (coloured, grey))
-    assert float(paid) == pytest.approx(float(owed), rel=1e-5)
-    assert float(paid) > 0.0
+    assert float(paid) == pytest.approx(float(owed), rel=1e-5) and float(paid) > 0.0
 
 
 # The statistics that a fine-tuned decoder is frozen with are those of its own code.
@@ -256,7 +238,7 @@ def interrupt(*_):
     ids=["no steps", "frozen end", "interrupted before it"],
 )
 def test_the_frozen_decoder_is_that_of_the_code(frozen, steps, report):
-    code = torch.linspace(-1.0, 1.0, len(TUNING_CODE_function))
+    code = torch.linspace(-1.0, 1.0, len(CODE))
     decoder = start()
     with torch.no_grad():  # an untrained decoder hardly heeds its code
         for layer in decoder.layers():
@@ -273,15 +255,14 @@ def test_the_frozen_decoder_is_that_of_the_code(frozen, steps, report):
         return sum(float((a[1] - b[1]).abs().mean()) for a, b in pairs)
 
     assert apart(expected) < 0.5 * apart(elsewhere)
-    assert tuned.decoder.config == TUNING_CONFIG_function
+    assert tuned.decoder.config == CONFIG
 
 
 # A decoder that comes without cells, as the prior's does, learns to read them.
 
 
-CONFIG = DecoderConfig(noise_channels=2, widths=(4, 4, 6, 6, 6))
+NARROW = DecoderConfig(noise_channels=2, widths=(4, 4, 6, 6, 6))
 WAVES = (Wave(1 / 23.0, 0.0), Wave(0.0, 1 / 19.0))
-CODE = torch.zeros(CODE_SIZE)
 
 
 def a_field():
@@ -295,15 +276,10 @@ def without_cells(field):
 
 
 def test_zero_weights_of_cells_leave_the_decoder_unchanged():
-    decoder = Decoder(CONFIG)
+    decoder = Decoder(NARROW)
     wider = reading_cells(decoder, 0)
-    silent = RandomField(
-        a_field().noise,
-        tuple(
-            torch.cat([w[:, :WAVE_CHANNELS], 0.0 * w[:, WAVE_CHANNELS:]], 1)
-            for w in a_field().waves
-        ),
-    )
+    heard = torch.arange(WAVE_CHANNELS + CELL_CHANNELS)[:, None, None] < WAVE_CHANNELS
+    silent = RandomField(a_field().noise, tuple(w * heard for w in a_field().waves))
     with torch.no_grad():
         expected = decoder(without_cells(a_field()), CODE)
         assert torch.allclose(wider(silent, CODE), expected, atol=1e-4)
@@ -311,11 +287,10 @@ def test_zero_weights_of_cells_leave_the_decoder_unchanged():
 
 
 def test_weights_of_cells_are_drawn_by_the_seed_and_trained():
-    decoder = Decoder(CONFIG)
+    decoder = Decoder(NARROW)
     first, again, other = (reading_cells(decoder, seed).state_dict() for seed in (1, 1, 2))
     name = "up.0.0.convolution.weight"
-    assert torch.equal(first[name], again[name])
-    assert not torch.equal(first[name], other[name])
+    assert torch.equal(first[name], again[name]) and not torch.equal(first[name], other[name])
     wider = reading_cells(decoder, 1)
     wider(a_field(), CODE)[:, 0].square().mean().backward()
     slope = wider.up[3][0].convolution.weight.grad[:, -CELL_CHANNELS:]
@@ -323,7 +298,7 @@ def test_weights_of_cells_are_drawn_by_the_seed_and_trained():
 
 
 def test_the_given_decoders_are_unchanged():
-    decoder, other = Decoder(CONFIG), reading_cells(Decoder(CONFIG), 3)
+    decoder, other = Decoder(NARROW), reading_cells(Decoder(NARROW), 3)
     before = {name: value.clone() for name, value in other.state_dict().items()}
     mixed = with_cells(decoder, other)
     with torch.no_grad():

@@ -6,8 +6,6 @@ from dataclasses import replace
 import pytest
 import torch
 from tuning import CODE, SETUP, WINDOW, photograph, scene, start, tune
-from tuning import HEIGHT as TUNING_HEIGHT
-from tuning import WIDTH as TUNING_WIDTH
 from uniform import a_setup
 from uniform import photograph as uniform
 
@@ -78,8 +76,7 @@ def found(material, photo, valid=VALID, noise=None):
 
 def test_a_matching_material_is_unchanged(truth, photo):
     right = found(truth, photo)
-    assert right.gain == pytest.approx(1.0, abs=0.03)
-    assert right.shift.abs().max() < 0.05
+    assert right.gain == pytest.approx(1.0, abs=0.03) and right.shift.abs().max() < 0.05
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.4])
@@ -98,17 +95,16 @@ def test_the_matched_material_looks_like_the_photograph(truth, photo):
         log = picture.log()
         return log.mean((1, 2)), (log - shading(log[None])[0]).std()
 
+    true_mean, true_contrast = values(photo)
+
     def apart(material):
-        (mean, contrast), (true_mean, true_contrast) = (
-            values(p)
-            for p in (render_rectified(material.maps(WIDTH, HEIGHT, seed=2), SETUP), photo)
-        )
+        shown = render_rectified(material.maps(WIDTH, HEIGHT, seed=2), SETUP)
+        mean, contrast = values(shown)
         return float((mean - true_mean).abs().max()), abs(float(contrast / true_contrast) - 1.0)
 
     mean_before, contrast_before = apart(wrong)
     mean, contrast = apart(matched)
-    assert mean < 0.3 * mean_before
-    assert contrast < 0.2 * contrast_before
+    assert mean < 0.3 * mean_before and contrast < 0.2 * contrast_before
 
 
 def test_gloss_and_the_given_material_are_unchanged(truth, photo):
@@ -117,8 +113,7 @@ def test_gloss_and_the_given_material_are_unchanged(truth, photo):
     matched = match_photograph(wrong, plane_of(photo, VALID))
     assert all(torch.equal(v, before[k]) for k, v in network(wrong).state_dict().items())
     old, new = (m.maps(64, 64) for m in (wrong, matched))
-    assert torch.equal(old.specular, new.specular)
-    assert torch.equal(old.roughness, new.roughness)
+    assert torch.equal(old.specular, new.specular) and torch.equal(old.roughness, new.roughness)
     assert not torch.allclose(old.diffuse, new.diffuse, atol=0.01)
 
 
@@ -166,11 +161,9 @@ def test_blocks_count_by_their_share_of_diffuse_light():
     apart = 0.2 * share
     lit = apart.clone()
     lit[..., : HEIGHT // 2, :] = 2.0
-    expected = 0.2 * 0.64 / (0.64 + 2 * 0.1)
+    expected = pytest.approx([0.2 * 0.64 / (0.64 + 2 * 0.1)] * 3, rel=1e-3)
     for seen in (apart, lit):
-        assert _shift(seen, share, torch.zeros(3), _Blocks(VALID)) == pytest.approx(
-            [expected] * 3, rel=1e-3
-        )
+        assert _shift(seen, share, torch.zeros(3), _Blocks(VALID)) == expected
 
 
 @pytest.mark.parametrize("unseen", ["invalid", "clipped"])
@@ -179,15 +172,13 @@ def test_without_valid_windows_nothing_changes(truth, photo, unseen):
     picture = photo if unseen == "invalid" else torch.ones_like(photo)
     plane = Plane(picture, valid, None, fit_encoding(photo, VALID))
     nothing = correction(truth, plane, seed=0)
-    assert nothing.gain == 1.0
-    assert not nothing.shift.any()
+    assert nothing.gain == 1.0 and not nothing.shift.any()
 
 
 def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
     far = replace(truth, setup=SETUP.with_intensity((1e38,) * 3))
     nothing = found(far, photo)
-    assert nothing.gain == 1.0
-    assert not nothing.shift.any()
+    assert nothing.gain == 1.0 and not nothing.shift.any()
 
 
 @pytest.mark.parametrize(
@@ -201,8 +192,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
 )
 def test_corrections_are_bounded_and_finite(truth, picture):
     far = found(truth, picture)
-    assert 0.6 <= far.gain <= 1.7
-    assert far.shift.abs().max() <= 1.0
+    assert 0.6 <= far.gain <= 1.7 and far.shift.abs().max() <= 1.0
     matched = match_photograph(truth, plane_of(picture, VALID))
     assert matched.maps(32, 32).stacked().isfinite().all()
 
@@ -211,10 +201,10 @@ def test_corrections_are_bounded_and_finite(truth, picture):
 
 
 BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=4, levels=2))
-CAPTURE_WINDOWS_WIDTH, CAPTURE_WINDOWS_HEIGHT, SIZE = 96, 64, 32
+WIDE, HIGH, SIZE = 96, 64, 32
 
 
-def cut(valid=None, *, size=SIZE, width=CAPTURE_WINDOWS_WIDTH, height=CAPTURE_WINDOWS_HEIGHT):
+def cut(valid=None, *, size=SIZE, width=WIDE, height=HIGH):
     """A picture whose brightness tells where it was cut, and its windows."""
     generator = torch.Generator().manual_seed(0)
     slope = torch.linspace(0.1, 0.9, width) * torch.linspace(0.5, 1.0, height)[:, None]
@@ -224,7 +214,7 @@ def cut(valid=None, *, size=SIZE, width=CAPTURE_WINDOWS_WIDTH, height=CAPTURE_WI
     return linear, plane.encoding, cut_windows(plane, BANK, size)
 
 
-def corners(windows, width=CAPTURE_WINDOWS_WIDTH, height=CAPTURE_WINDOWS_HEIGHT):
+def corners(windows, width=WIDE, height=HIGH):
     """(column, row) of every window's left top texel, from its plane points."""
     first = windows.points[:, :2, 0, 0]
     column = (first[:, 0] + 1.0) * width / 2.0 - 0.5
@@ -235,9 +225,7 @@ def corners(windows, width=CAPTURE_WINDOWS_WIDTH, height=CAPTURE_WINDOWS_HEIGHT)
 def test_every_window_has_the_points_and_the_picture_of_its_own_place():
     linear, encoding, windows = cut()
     for index, (x, y) in enumerate(corners(windows)):
-        expected = plane_points(
-            x, y, SIZE, SIZE, (CAPTURE_WINDOWS_WIDTH, CAPTURE_WINDOWS_HEIGHT), dtype=torch.float32
-        )
+        expected = plane_points(x, y, SIZE, SIZE, (WIDE, HIGH), dtype=torch.float32)
         assert torch.allclose(windows.points[index], expected, atol=1e-6)
         here = describe(linear[None, :, y : y + SIZE, x : x + SIZE], encoding, BANK)
         target = windows.target.select([index])
@@ -288,12 +276,11 @@ def test_windows_cover_the_picture_and_stay_inside(width, height):
     for x, y in corners(windows, width, height):
         assert 0 <= x <= width - SIZE and 0 <= y <= height - SIZE
         seen[y : y + SIZE, x : x + SIZE] = True
-    assert bool(seen.all())
-    assert len(set(corners(windows, width, height))) == windows.count
+    assert bool(seen.all()) and len(set(corners(windows, width, height))) == windows.count
 
 
 def test_windows_hardly_seen_are_left_out():
-    valid = torch.ones(CAPTURE_WINDOWS_HEIGHT, CAPTURE_WINDOWS_WIDTH, dtype=torch.bool)
+    valid = torch.ones(HIGH, WIDE, dtype=torch.bool)
     valid[:, 48:] = False
     _, _, windows = cut(valid)
     assert 0 < windows.count < cut()[2].count
@@ -302,9 +289,7 @@ def test_windows_hardly_seen_are_left_out():
 
 
 def test_without_valid_texels_all_windows_are_kept():
-    _, _, windows = cut(
-        torch.zeros(CAPTURE_WINDOWS_HEIGHT, CAPTURE_WINDOWS_WIDTH, dtype=torch.bool)
-    )
+    _, _, windows = cut(torch.zeros(HIGH, WIDE, dtype=torch.bool))
     assert windows.count == cut()[2].count
 
 
@@ -312,7 +297,7 @@ def test_without_valid_texels_all_windows_are_kept():
 
 
 NOISE_BANK = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
-SEEN = torch.ones(TUNING_HEIGHT, TUNING_WIDTH, dtype=torch.bool)
+SEEN = torch.ones(photograph().shape[1:], dtype=torch.bool)
 
 
 def draw(linear, seed, strength=0.1):
@@ -341,14 +326,10 @@ def test_noise_alone_is_not_amplified():
     """Grey texture with coloured noise: without knowing better, colour is scaled up."""
     clean = photograph().mean(dim=0, keepdim=True).expand(3, -1, -1)
     noisy = clean + draw(clean, 1, 0.2)
-    both = [
-        fit_encoding(noisy, SEEN),
-        fit_encoding(noisy, SEEN, draw(clean, 2, 0.2)),
-    ]
+    both = (fit_encoding(noisy, SEEN, noise) for noise in (None, draw(clean, 2, 0.2)))
     colour, grey = torch.tensor([1.0, -1.0, 0.0]), torch.ones(3)
-    amplified = [
-        float((each.matrix @ colour).norm() / (each.matrix @ grey).norm()) for each in both
-    ]
+    gains = (((e.matrix @ colour).norm(), (e.matrix @ grey).norm()) for e in both)
+    amplified = [float(of_colour / of_grey) for of_colour, of_grey in gains]
     assert amplified[1] < 0.6 * amplified[0]
 
 
@@ -366,15 +347,10 @@ def test_noise_is_permuted_and_scaled_with_the_light():
     rendered = photograph()[None, :, :WINDOW, :WINDOW]
     share = torch.randn(rendered.shape, generator=torch.Generator().manual_seed(0))
     first, second = (with_noise(rendered, share, step) for step in (1, 2))
-    assert not torch.equal(first, second)
-    assert torch.equal(first, with_noise(rendered, share, 1))
+    assert not torch.equal(first, second) and torch.equal(first, with_noise(rendered, share, 1))
     added = (first - rendered) / shot_deviation(rendered)
-    torch.testing.assert_close(
-        added.abs().flatten(2).sort().values,
-        share.abs().flatten(2).sort().values,
-        atol=1e-4,
-        rtol=1e-4,
-    )
+    sizes = [noise.abs().flatten(2).sort().values for noise in (added, share)]
+    torch.testing.assert_close(*sizes, atol=1e-4, rtol=1e-4)
 
 
 def test_noise_is_rectified_like_the_picture():

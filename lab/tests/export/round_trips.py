@@ -1,4 +1,4 @@
-"""Measure all exports: `python tests/export/round_trips.py [-r] [-m] [MATERIAL.matcap ...]`.
+"""Measure all exports: `python lab/tests/export/round_trips.py [-r] [-m] [MATERIAL.matcap ...]`.
 
 Each material (by default the procedural ones that matcap simulates; with -m the metals of
 metals.py) is exported to every target, checked by the target's validator, read back by its library
@@ -9,6 +9,7 @@ docs/notes/exports.md: light that differs, as a share of all light, mean and wor
 and what each of them has. What is not installed is left out and said.
 """
 
+# ruff: noqa: E402
 import os
 import subprocess
 import sys
@@ -18,6 +19,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+
+TESTS = Path(__file__).parents[3] / "tests"
+sys.path[:0] = [str(TESTS), str(TESTS / "export")]
 import render_three
 from chromium import browsing
 from exported import unlike
@@ -26,7 +30,7 @@ from simulated.materials import MATERIALS, realise
 from target_surfaces import residual
 
 import matcap
-from matcap.export import presets
+from matcap.export import workflows
 from matcap.export.job import ExportJob
 from matcap.export.presets import PRESETS
 from matcap.export.shading import residuals
@@ -167,12 +171,12 @@ def materials(paths, metallic):
 
 def metallic_forms(maps, preset):
     """{form: residual} of the ways in which base colour and metallic may be found."""
-    make, found, all_forms = preset_forms(preset)["metallic"], {}, presets.FORMS
+    make, found, all_forms = preset_forms(preset)["metallic"], {}, workflows.FORMS
     for form in all_forms:
-        presets.FORMS = (form,)
+        workflows.FORMS = (form,)
         job = ExportJob(maps, "m")
         found[form] = residuals(job, make(job).surfaces)["metallic"].mean
-    presets.FORMS = all_forms
+    workflows.FORMS = all_forms
     return found
 
 
