@@ -20,6 +20,7 @@ from matcap.files.color import srgb_decode, srgb_encode
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
+from matcap.flash.rectify import plane_of
 
 # Rings of albedo around the mirror point.
 
