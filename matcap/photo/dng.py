@@ -335,7 +335,9 @@ def _binned(path: Path, samples: NDArray[np.float32], pattern: bytes) -> NDArray
     if sorted(pattern) != [0, 1, 1, 2]:
         raise unsupported(path, "a float DNG whose mosaic is not of 2 x 2 photosites")
     height, width = (side // 2 * 2 for side in samples.shape)
-    sites = [samples[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)]
+    samples = samples[:height, :width].copy()
+    raw_samples.centre_colours(samples, np.reshape(list(pattern), (2, 2)))
+    sites = [samples[row::2, column::2] for row in (0, 1) for column in (0, 1)]
     planes = [
         np.mean([s for s, of in zip(sites, pattern, strict=True) if of == c], axis=0)
         for c in range(3)
