@@ -172,18 +172,19 @@ class SetReport:
         checked: LeaveOneOut,
         mosaic: Mosaic,
     ) -> SetReport:
-        """Report of a solution and its check."""
+        """Report of a solution and its check; the photographs measure nothing if it fails."""
         x, y = solved.light.offset.tolist()
+        kept_first = None if mosaic.margins.any else checked.kept_first
         return SetReport(
             alignment.views,
             solved.residual,
             checked.by_others,
             registration.left_out,
-            solved.measured,
+            solved.measured if kept_first is None else (0.0,) * len(solved.measured),
             (x, y, 0.0),
             mosaic,
-            solved.estimate.basis,
-            None if mosaic.margins.any else checked.kept_first,
+            solved.estimate.basis if kept_first is None else None,
+            kept_first,
             checked.pictures,
         )
 
