@@ -121,7 +121,9 @@ def estimate_multiview(
     rectified = Rectified.of(first, camera_only, detail)
     if report.kept_first is not None:
         known = KnownMeans(absolute=first.flash_intensity is not None)
-        result = estimate_exemplar(rectified, network, clock, known, turned=first.turned)
+        with clock.stage("inpaint"):  # its own stages are over
+            of_one = rectified, network, CaptureClock(None), known
+            result = estimate_exemplar(*of_one, turned=first.turned)
         return rectified, replace(result, several=report)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("inpaint"):
