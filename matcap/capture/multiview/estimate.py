@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.detail_transfer import transfer_detail
-from matcap.capture.exemplar.estimate import ExemplarEstimate, indexed, refined
+from matcap.capture.exemplar.estimate import (
+    ExemplarEstimate,
+    KnownMeans,
+    estimate_exemplar,
+    indexed,
+    refined,
+)
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse
@@ -105,14 +111,21 @@ def estimate_multiview(
             begun = _unless_interrupted(clock, begun, partial(with_basis, *begun))
         alignment, resampled, solved = _solved(*begun, clock)
     camera_only = replace(coarse, setup=alignment.setup)
-    lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("predict"):
         check = partial(leave_one_out, alignment, solved, begun[1], alone, by_features.light)
         checked = check() if clock.status is RunStatus.DONE else LeaveOneOut((), ())
-        if checked.kept_first is not None and not mosaic.margins.any:
-            solved, resampled, lit = solved.replaced(alone), resampled[:1], camera_only
-    first = alignment.views[0].photo
-    rectified = replace(Rectified.of(first, camera_only, detail), coarse=lit)
+    first, report = (
+        alignment.views[0].photo,
+        SetReport.of(alignment, registration, solved, checked, mosaic),
+    )
+    rectified = Rectified.of(first, camera_only, detail)
+    if report.kept_first is not None:
+        known = KnownMeans(absolute=first.flash_intensity is not None)
+        with clock.stage("inpaint"):  # its own stages are over
+            of_one = rectified, network, CaptureClock(None), known
+            result = estimate_exemplar(*of_one, turned=first.turned)
+        return rectified, replace(result, several=report)
+    lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("inpaint"):
         mosaic, plane, maps = _whole(rectified.whole, alignment, mosaic, solved.maps)
         estimate = replace(solved.estimate, maps=maps)
@@ -120,9 +133,8 @@ def estimate_multiview(
     with clock.stage("index"):
         metal = metal if estimate.basis is None else estimate.basis.metallic_share
         exemplar, example, scale = _indexed(first, exemplar, metal, rectified.waves, mosaic)
-    report = SetReport.of(alignment, registration, solved, checked, mosaic)
     result = ExemplarEstimate(exemplar, example, spectrum, solved.residual[0], report, scale)
-    return rectified, replace(result, turned=first.turned)
+    return replace(rectified, coarse=lit), replace(result, turned=first.turned)
 
 
 def _unless_interrupted(

@@ -45,6 +45,9 @@ _SAMPLED = 1500
 # Share of the error by the first photograph alone above which the set's maps are not kept: those of
 # glazed tiles, at 0.8 and 0.94, were 1.6 and 1.3 times as far from the truth as the first one's.
 _CLEARLY = 0.75
+# Log radiance below what all photographs show from which a texel is in shadow, and the share of a
+# photograph's from which that is said: relief, and highlights that are too strong, have a few.
+_SHADOW, _SHADED = math.log(2.0), 0.1
 
 
 class Prediction(NamedTuple):
@@ -74,6 +77,8 @@ class LeaveOneOut(NamedTuple):
     """Of maps estimated from the first photograph alone; () as by_others."""
     pictures: tuple[Prediction, ...] = ()
     """Of each photograph with flash, as predicted from the others."""
+    shaded: tuple[float, ...] = ()
+    """Share of each photograph's texels in shadow, which do not count; () as by_others."""
 
     @property
     def kept_first(self) -> tuple[float, float] | None:
@@ -97,9 +102,10 @@ def leave_one_out(
 ) -> LeaveOneOut:
     """Predict every flash photograph from all others, and from the first.
 
-    The solution without a photograph starts from the registration of all, and from the network's
-    prediction of the first photograph, even if that is the one left out. The photograph's gain is
-    fitted to it.
+    Texels that are far darker than all photographs together show do not count: a shadow tells
+    nothing of the maps. The solution without a photograph starts from the registration of all, and
+    from the network's prediction of the first photograph, even if that is the one left out. The
+    photograph's gain is fitted to it.
 
     Args:
         solved: solution by all, whose light is the initial value.
@@ -113,8 +119,10 @@ def leave_one_out(
     lit = [number for number, view in enumerate(views) if view.flash]
     if len(lit) < 2:
         return LeaveOneOut((), ())
-    by_others, by_first = [math.nan] * len(views), [math.nan] * len(views)
+    by_others, by_first, shaded = ([math.nan] * len(views) for _ in range(3))
     pictures = []
+    for left_out in lit:
+        views[left_out], shaded[left_out] = unshaded(views[left_out], by_all, solved.light)
     for left_out in lit:
         kept = [number for number in range(len(views)) if number != left_out]
         some, light = [views[number] for number in kept], solved.light.of_some(kept)
@@ -124,7 +132,17 @@ def leave_one_out(
         )
         pictures.append(Prediction.of(left_out + 1, views[left_out], predicted))
         by_first[left_out], _ = left_out_residual(views[left_out], own.maps, begun)
-    return LeaveOneOut(tuple(by_others), tuple(by_first), tuple(pictures))
+    return LeaveOneOut(tuple(by_others), tuple(by_first), tuple(pictures), tuple(shaded))
+
+
+def unshaded(
+    view: ResampledView, by_all: Estimate, light: SharedLight
+) -> tuple[ResampledView, float]:
+    """A photograph without the texels that a shadow darkens, and the share of these."""
+    off = (view.log - as_photographed(view, parameters_of(by_all.maps), light)).mean(0)
+    seen, dark = view.seen.all(0), off < -_SHADOW
+    share = float((seen & dark).sum() / seen.sum().clamp_min(1))
+    return replace(view, seen=view.seen & ~dark), share
 
 
 def left_out_residual(
@@ -163,6 +181,8 @@ class SetReport:
     other and by the first, means."""
     pictures: tuple[Prediction, ...] = ()
     """Photographs predicted from the others; empty if not computed."""
+    shaded: tuple[float, ...] = ()
+    """Share of each photograph's texels in shadow (LeaveOneOut.shaded)."""
 
     @staticmethod
     def of(
@@ -172,19 +192,21 @@ class SetReport:
         checked: LeaveOneOut,
         mosaic: Mosaic,
     ) -> SetReport:
-        """Report of a solution and its check."""
+        """Report of a solution and its check; the photographs measure nothing if it fails."""
         x, y = solved.light.offset.tolist()
+        kept_first = None if mosaic.margins.any else checked.kept_first
         return SetReport(
             alignment.views,
             solved.residual,
             checked.by_others,
             registration.left_out,
-            solved.measured,
+            solved.measured if kept_first is None else (0.0,) * len(solved.measured),
             (x, y, 0.0),
             mosaic,
-            solved.estimate.basis,
-            None if mosaic.margins.any else checked.kept_first,
+            solved.estimate.basis if kept_first is None else None,
+            kept_first,
             checked.pictures,
+            checked.shaded,
         )
 
     def by_view(self) -> Iterator[tuple[RegisteredView, float, float]]:
@@ -193,25 +215,36 @@ class SetReport:
         return zip(self.views, self.residuals, predicted, strict=True)
 
     def warning(self) -> str | None:
-        """A sentence if the set did not help or a camera is uncertain, else None."""
+        """What is to be said of shadows, of a set that did not help or of uncertain cameras."""
+        return " ".join([*self._shadows(), *self._doubts()]) or None
+
+    def _shadows(self) -> Iterator[str]:
+        for view, share in zip(self.views, self.shaded, strict=False):
+            if share > _SHADED:
+                yield (
+                    f"{100.0 * share:.0f} % of {view.photo.name} is far darker than the others "
+                    "show, as in a shadow: that part of it tells nothing."
+                )
+
+    def _doubts(self) -> Iterator[str]:
         if self.kept_first is not None:
             each_other, first = self.kept_first
-            return (
+            yield (
                 f"The photographs predict each other hardly better than {self.views[0].photo.name} "
                 f"alone does, or worse (log radiance off by {each_other:.3f} and {first:.3f}): the "
                 "maps are those of that photograph. Photograph again, sharp, in a dark room, "
                 "without moving the sample."
             )
+            return
         (limit,) = CHECKS["cameras"].limits
         uncertain = [view for view in self.views if view.position_deviation > limit]
-        if not uncertain:
-            return None
-        worst = max(view.position_deviation for view in uncertain)
-        names = ", ".join(view.photo.name for view in uncertain)
-        return (
-            f"Camera positions are uncertain by {100 * worst:.1f} % of their distance ({names}), "
-            "and so are directions of light: the relief may be slightly tilted."
-        )
+        if uncertain:
+            worst = max(view.position_deviation for view in uncertain)
+            names = ", ".join(view.photo.name for view in uncertain)
+            yield (
+                f"Camera positions are uncertain by {100 * worst:.1f} % of their distance "
+                f"({names}), and so are directions of light: the relief may be slightly tilted."
+            )
 
     def document(self) -> dict[str, Any]:
         """JSON: angles in degrees, places in plane units."""

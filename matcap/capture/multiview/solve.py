@@ -89,10 +89,6 @@ class Solved:
         """The estimated maps."""
         return self.estimate.maps
 
-    def replaced(self, estimate: Estimate) -> Solved:
-        """With other maps, to which the photographs contribute nothing."""
-        return replace(self, estimate=estimate, measured=(0.0,) * len(self.measured))
-
     def slope_statistics_on(self, maps: MapSet) -> tuple[float, tuple[float, ...]]:
         """prediction_error and slope_energies on a grid as fine, or finer by whole octaves."""
         octaves = round(math.log2(maps.size[0] / self.maps.size[0]))

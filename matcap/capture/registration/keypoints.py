@@ -241,6 +241,7 @@ _COMPARED = 384  # texels across the grid of the correlation
 _SHIFTED = 5  # shift in texels at which the correlation must be lower
 _ACROSS = 640  # texels across the grid of sharpness
 _TILES = 12  # tiles across
+_NEAR = 0.01  # plane units, distance over which the scale of a photograph is measured
 _FINE = (0.7, 1.4)  # standard deviations of the two Gaussians of the finest band, texels
 _LONG = (2.8, 5.6)  # standard deviations of the two Gaussians of the longer band, texels
 
@@ -298,9 +299,15 @@ def losses_of_sharpness(photos: Sequence[Photo], cameras: Sequence[PosedCamera])
 
 
 def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.float64]:
-    """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside."""
+    """(tiles,) log sharpness on the first photograph's plane; NaN for a tile partly outside.
+
+    A photograph from farther away or aside has fewer pixels a texel: it is shrunk less.
+    """
     down = round(_ACROSS * first.pixels.shape[0] / first.pixels.shape[1])
-    wide = min(photo.pixels.shape[1], _ACROSS)
+    corners = camera.sees(np.array([[0.0, _NEAR, 0.0], [0.0, 0.0, _NEAR], [0.0, 0.0, 0.0]]))
+    by_plane = (corners[:, 1:] - corners[:, :1]) / _NEAR
+    smaller = abs(float(np.linalg.det(by_plane))) ** 0.5
+    wide = min(photo.pixels.shape[1], round(_ACROSS / np.clip(smaller, 0.25, 1.0)))
     log, inside = log_on_grid(photo, camera, (_ACROSS, down), wide, 1e-4, cv2.INTER_CUBIC)
     bands = (np.square(_band(log, *deviations)) for deviations in (_FINE, _LONG))
     tiles = (_TILES, max(2, round(_TILES * down / _ACROSS)))

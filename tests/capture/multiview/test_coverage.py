@@ -90,6 +90,14 @@ def test_a_report_states_that_the_first_photograph_is_kept(looked):
     assert result.document()["first_alone"]
 
 
+def test_a_report_names_a_photograph_with_a_shadow(looked):
+    own = Mosaic.own((64, 48))
+    result = SetReport(looked.views, (0.1,) * 3, (), (), (0.0,) * 4, (0.0,) * 3, own)
+    assert "darker" not in (replace(result, shaded=(0.0, 0.09, math.nan)).warning() or "")
+    said = replace(result, shaded=(0.0, 0.25, math.nan)).warning()
+    assert said.startswith("25 % of plaster_1 is far darker than the others show")
+
+
 def test_directions_are_of_the_upright_picture(looked):
     views = tuple(replace(v, photo=replace(v.photo, turned=True)) for v in looked.views)
     values = coverage(replace(looked, views=views))

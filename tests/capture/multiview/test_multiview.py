@@ -12,15 +12,19 @@ from report_schema import check_report
 from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photographed, seen
 from simulated.photographs import Hand, hold
 
+from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.predict import map_set_of
+from matcap.capture.multiview import estimate
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import (
+    LeaveOneOut,
     Prediction,
     SetReport,
     draw_predicted,
     draw_set,
     left_out_residual,
     set_report_lines,
+    unshaded,
 )
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.solve import solve
@@ -91,6 +95,20 @@ def test_one_photograph_that_is_spoilt_spoils_no_relief(spoilt):
     sound = _degrees(_solved(views, flattened(maps), light).maps, maps)
     views[3] = spoilt(views[3])
     assert _degrees(_solved(views, flattened(maps), light).maps, maps) < 1.3 * sound
+
+
+def test_a_shadow_is_measured_and_does_not_count():
+    maps = grainy(4)
+    views, light = seen([maps] * 5, 0.01)
+    known = Estimate(maps, NOTHING_KNOWN)
+    assert unshaded(views[3], known, light)[1] < 0.01
+    dark = shadowed(views[3])
+    third = dark.log.shape[-1] // 3
+    lit, share = unshaded(dark, known, light)
+    whole = float(views[3].seen[..., :third].sum() / views[3].seen.sum())
+    assert share == pytest.approx(whole, abs=0.01)
+    assert lit.seen[..., :third].float().mean() < 0.05
+    torch.testing.assert_close(lit.seen[..., third:], views[3].seen[..., third:])
 
 
 def test_a_photograph_is_predicted_from_the_others():
@@ -214,6 +232,26 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
         assert 0.0 <= one["position_deviation"] < 0.01
         assert 0.0 < one["residual"] < 0.1 and math.isfinite(one["leave_one_out_residual"])
     assert all(0.0 <= share <= 1.0 for share in several["measured_share"].values())
+
+
+def test_a_set_that_predicts_itself_badly_is_captured_as_its_first_photograph(held, monkeypatch):
+    _, photos = held
+    results, lines = [], []
+
+    def of_one(*arguments, **options):
+        results.append(estimate_exemplar(*arguments, **options))
+        return results[-1]
+
+    worse = LeaveOneOut((0.2,) * 3, (0.1,) * 3)
+    monkeypatch.setattr(estimate, "leave_one_out", lambda *_arguments: worse)
+    monkeypatch.setattr(estimate, "estimate_exemplar", of_one)
+    settings = CaptureSettings(preset="instant", detail=128)
+    found = capture_photo(photos[0], settings, lines.append, others=photos[1:]).estimate
+    assert found.exemplar is results[0].exemplar
+    assert found.several.document()["first_alone"]
+    assert not any(found.several.measured) and found.several.basis is None
+    fractions = [now.fraction for now in lines]
+    assert fractions == sorted(fractions)
 
 
 def test_a_pair_keeps_the_highlight_of_glossy_tiles():

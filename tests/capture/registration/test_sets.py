@@ -8,10 +8,12 @@ import pytest
 from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, as_photo, hold, take, true_maps
 
-from matcap.capture.registration.keypoints import is_periodic
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.keypoints import is_periodic, losses_of_sharpness
 from matcap.capture.registration.register import flash_first, register, without_flash
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
+from matcap.photo.left_out import area_averaged
 from matcap.photo.photo import Photo
 
 # Photographs taken without the flash among flash photographs.
@@ -135,3 +137,23 @@ def test_a_flawless_weave_is_refused_in_one_sentence():
 def test_grain_has_no_period():
     _, photos = _photographs(_weave(1e9, 0.1, 0.3))  # of one thread
     assert not is_periodic(photos[0])
+
+
+def _grey(pixels, name):
+    """A RAW photograph of grey pixels (H, W), 1000 across."""
+    shrunk = np.repeat(area_averaged(pixels, (1000, 750))[..., None], 3, axis=2)
+    clipped = np.zeros(shrunk.shape[:2], bool)
+    return Photo(
+        shrunk, clipped, 60.0, "exif", radiometric=True, name=name, original_size=(1000, 750)
+    )
+
+
+def test_a_photograph_from_farther_away_is_not_blurred():
+    """At 1.5 times the distance a pixel shows more of the sample."""
+    noise = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(2250, 3000)), (0, 0), 1.5)
+    whole = np.exp(noise).astype(np.float32)
+    near = PosedCamera.of(FlashSetup(fov=60.0))
+    far = replace(near, place=1.5 * near.place)
+    photos = _grey(whole[375:-375, 500:-500], "near"), _grey(whole, "far")
+    sharp, loss = losses_of_sharpness(photos, (near, far))
+    assert sharp == 0.0 and loss < 0.12
