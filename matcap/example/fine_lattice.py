@@ -66,10 +66,10 @@ def straightened(
     planes = planes_of(coarsened(exemplar, bits))
     features = features_of(planes, choose_scale(planes)).astype(np.float32)
     features -= features.mean(axis=(1, 2), keepdims=True)
-    found = [followed(features, wave) for wave in short]
-    if any(one is None for one in found):
+    paths = [followed(features, wave) for wave in short]
+    if any(path is None for path in paths):
         return None
-    means, turns = zip(*(one for one in found if one is not None), strict=True)
+    means, turns = zip(*(path for path in paths if path is not None), strict=True)
     move = displacement(means, np.stack(turns))
     if np.ptp(move, axis=(1, 2)).max() < _LEAST:
         return None

@@ -88,10 +88,10 @@ def _followed_phases(planes: Floats, waves: Sequence[Frequency]) -> Doubles | No
     y, x = np.mgrid[:height, :width].astype(np.float32) / np.float32(step)
     phases = []
     for across, down in waves:
-        found = followed(thin, (step * across, step * down))
-        if found is None:
+        path = followed(thin, (step * across, step * down))
+        if path is None:
             return None
-        mean, turns = found
+        mean, turns = path
         bend = read_grid(turns, x / np.float32(1 << GRID), y / np.float32(1 << GRID))
         phases.append(mean[0] * x.astype(np.float64) + mean[1] * y + bend)
     return np.stack(phases)
