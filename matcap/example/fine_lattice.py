@@ -60,16 +60,16 @@ def straightened(
     bits = detail_bits(exemplar)
     if len(waves) != 2:
         return None
-    short = _shortest(*(tuple(2**bits * f for f in wave) for wave in waves))
+    short = shortest_waves(*(tuple(2**bits * f for f in wave) for wave in waves))
     if max(math.hypot(*wave) for wave in short) * _FINE < 1.0:
         return None
     planes = planes_of(coarsened(exemplar, bits))
     features = features_of(planes, choose_scale(planes)).astype(np.float32)
     features -= features.mean(axis=(1, 2), keepdims=True)
-    followed = [_followed(features, wave) for wave in short]
-    if any(one is None for one in followed):
+    paths = [followed(features, wave) for wave in short]
+    if any(path is None for path in paths):
         return None
-    means, turns = zip(*(one for one in followed if one is not None), strict=True)
+    means, turns = zip(*(path for path in paths if path is not None), strict=True)
     move = displacement(means, np.stack(turns))
     if np.ptp(move, axis=(1, 2)).max() < _LEAST:
         return None
@@ -78,7 +78,7 @@ def straightened(
     return _evened(straight, at_full_size).rounded(), at_full_size
 
 
-def _shortest(first: tuple[float, ...], second: tuple[float, ...]) -> list[Frequency]:
+def shortest_waves(first: tuple[float, ...], second: tuple[float, ...]) -> list[Frequency]:
     """The shortest two waves of the same lattice (Gauss's reduction), which are strongest."""
     a, b = np.array(first), np.array(second)
     while True:
@@ -125,7 +125,7 @@ class _Sites:
         """(C, rows, columns) of planes times exp(-2 pi i phase), and derivatives along x and y."""
         height, width = planes.shape[1:]
         y, x = np.mgrid[:height, :width].astype(np.float32)
-        bend = _read(turns, x / np.float32(1 << GRID), y / np.float32(1 << GRID))
+        bend = read_grid(turns, x / np.float32(1 << GRID), y / np.float32(1 << GRID))
         phase = (wave[0] * x.astype(np.float64) + wave[1] * y + bend) % 1.0
         carrier = np.exp(-2j * np.pi * phase).astype(np.complex64)
         (down, down_by), (across, across_by) = (
@@ -142,7 +142,7 @@ class _Sites:
         )
 
 
-def _followed(planes: Floats, wave: Frequency) -> tuple[Frequency, Doubles] | None:
+def followed(planes: Floats, wave: Frequency) -> tuple[Frequency, Doubles] | None:
     """A wave's mean frequency vector, and phase offsets from it in turns; None if it gets lost.
 
     Args:
@@ -153,9 +153,9 @@ def _followed(planes: Floats, wave: Frequency) -> tuple[Frequency, Doubles] | No
     turns = np.zeros_like(sites.x)
     for degree, periods in _ROUNDS:
         local, by_x, by_y = sites.demodulated(planes, wave, turns, periods * period)
-        power = _blurred(np.square(np.abs(local)).sum(axis=0), 1.0) + 1e-12
+        power = blurred(np.square(np.abs(local)).sum(axis=0), 1.0) + 1e-12
         slopes = [
-            _blurred((local.conj() * by).imag.sum(axis=0), 1.0) / (2.0 * np.pi * power)
+            blurred((local.conj() * by).imag.sum(axis=0), 1.0) / (2.0 * np.pi * power)
             for by in (by_x, by_y)
         ]
         turns += _integral(sites, degree, slopes, power)
@@ -164,7 +164,7 @@ def _followed(planes: Floats, wave: Frequency) -> tuple[Frequency, Doubles] | No
         reference = local[np.argmax(np.square(np.abs(local)).sum(axis=(1, 2)))]
         relation = (local * reference.conj()).sum(axis=(1, 2)).conj()
         joined = (local * relation[:, None, None]).sum(axis=0)
-        joined = _blurred(joined.real, _SMOOTH) + 1j * _blurred(joined.imag, _SMOOTH)
+        joined = blurred(joined.real, _SMOOTH) + 1j * blurred(joined.imag, _SMOOTH)
         rest = np.angle(joined * joined.sum().conj()) / (2.0 * np.pi)
         if not attempt and np.quantile(np.abs(rest), 0.95) > _LEFT:
             return None
@@ -215,7 +215,7 @@ def _resampled(exemplar: Exemplar, move: Doubles, step: int) -> Exemplar:
     )
 
 
-def _read(plane: Doubles, x: Floats, y: Floats) -> Floats:
+def read_grid(plane: Doubles, x: Floats, y: Floats) -> Floats:
     """Bilinear interpolation of a plane, whose borders are repeated."""
     values = plane.astype(np.float32)
     read = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -234,12 +234,12 @@ def _even(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> Floats
     """Planes less what is slower than the lattice, with one cell, the rest of one local power."""
     period = 1.0 / max(math.hypot(*wave) for wave in waves)
     slow, mean = (
-        np.stack([_blurred(plane, times * period) for plane in planes]) for times in (_SLOW, _INNER)
+        np.stack([blurred(plane, times * period) for plane in planes]) for times in (_SLOW, _INNER)
     )
     local, cell = _cells(planes - mean, waves, known)
     fine = planes - mean - local
     power = np.square(fine.mean(axis=0))
-    powers = np.maximum(_blurred(power, _OUTER * period), 1e-12)
+    powers = np.maximum(blurred(power, _OUTER * period), 1e-12)
     gain = np.sqrt(power.mean() / powers).clip(1.0 / _GAIN, _GAIN)
     level = planes.mean(axis=(1, 2), keepdims=True)
     return np.asarray(level + mean - slow + cell + fine * gain, np.float32)
@@ -259,7 +259,7 @@ def _cells(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> tuple
     height, width = planes.shape[1:]
     size = (max(1, width // _COARSE), max(1, height // _COARSE))
     deviation = _OUTER / max(math.hypot(*wave) for wave in waves) / _COARSE
-    weight = _resized(known, size, cv2.INTER_AREA)
+    weight = resized(known, size, cv2.INTER_AREA)
     weight /= max(float(weight.sum()), 1e-9)
     local, cell = np.zeros_like(planes), np.zeros_like(planes)
     for times in itertools.product(range(_HARMONICS + 1), range(-_HARMONICS, _HARMONICS + 1)):
@@ -273,23 +273,23 @@ def _cells(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> tuple
         carrier = np.outer(down, across)
         parts = [np.ascontiguousarray(part) for part in (carrier.real, carrier.imag)]
         for plane, varying, constant in zip(planes, local, cell, strict=True):
-            near = [_blurred(_resized(plane * p, size, cv2.INTER_AREA), deviation) for p in parts]
+            near = [blurred(resized(plane * p, size, cv2.INTER_AREA), deviation) for p in parts]
             mean = [float((weight * one).sum()) for one in near]
             rms = math.sqrt(float((weight * (near[0] ** 2 + near[1] ** 2)).sum()))
             if math.hypot(*mean) <= _STEADY * rms:
                 continue
             for part, here, everywhere in zip(parts, near, mean, strict=True):
-                varying += 2.0 * part * _resized(here, (width, height), cv2.INTER_LINEAR)
+                varying += 2.0 * part * resized(here, (width, height), cv2.INTER_LINEAR)
                 constant += np.float32(2.0 * everywhere * rms / math.hypot(*mean)) * part
     return local, cell
 
 
-def _resized(plane: Floats, size: tuple[int, int], how: int) -> Floats:
+def resized(plane: Floats, size: tuple[int, int], how: int) -> Floats:
     """A plane at another size (width, height)."""
     return np.asarray(cv2.resize(plane, size, interpolation=how), np.float32)
 
 
-def _blurred(plane: NDArray[np.floating], deviation: float) -> Floats:
+def blurred(plane: NDArray[np.floating], deviation: float) -> Floats:
     """Gaussian average of a plane whose borders are reflected."""
     values = np.ascontiguousarray(plane, np.float32)
     blurred = cv2.GaussianBlur(values, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)

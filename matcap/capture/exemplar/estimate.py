@@ -21,6 +21,7 @@ from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
+from matcap.capture.exemplar.lattice_relief import averaged_over_cells
 from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.predict import (
@@ -151,7 +152,9 @@ def estimate_exemplar(
     """
     whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
     bound = not known.absolute
-    observed, prediction, spectrum = refined(plane, rectified.coarse, network, clock, bound=bound)
+    observed, prediction, spectrum = refined(
+        plane, rectified.coarse, network, clock, bound=bound, waves=rectified.input_waves
+    )
     coarse = observed.coarse
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
@@ -178,11 +181,18 @@ def estimate_exemplar(
 
 
 def refined(
-    plane: Plane, coarse: CoarseFit, network: Inverse, clock: CaptureClock, *, bound: bool = False
+    plane: Plane,
+    coarse: CoarseFit,
+    network: Inverse,
+    clock: CaptureClock,
+    *,
+    bound: bool = False,
+    waves: tuple[Wave, ...] = (),
 ) -> tuple[Observation, NetworkPrediction, ReliefSpectrum | None]:
     """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
 
-    With `bound`, albedo is kept below white (Observation.below_white).
+    With `bound`, albedo is kept below white (Observation.below_white); `waves` is the lattice of
+    one photograph.
 
     Returns:
         The photograph with the specular tint of its metal, the fitted maps, and the energies of
@@ -195,6 +205,7 @@ def refined(
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
         prediction = scaled_to_spectrum(observed, prediction, spectrum)
+        prediction = with_mean_cell(observed, prediction, waves)
         observed, prediction = classified(observed, prediction)
     with clock.stage("refine"):
         prediction = refine_maps(observed, prediction, spectrum)
@@ -256,18 +267,33 @@ def measured_spectrum(observed: Observation) -> ReliefSpectrum | None:
     predicted maps (docs/notes/capture.md).
     """
     plane, use = observed.plane, observed.plane.measured.numpy()
-    # Interpolate clipped texels, to no less than the clipped value.
-    channels = zip(observed.inputs.log.numpy(), use, strict=True)
-    whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
-    weights = channel_weights(observed.noise)
-    variance = (weights * observed.noise).square().sum(0)[plane.valid]
+    variance = (channel_weights(observed.noise) * observed.noise).square().sum(0)[plane.valid]
     return measure_relief_spectrum(
-        np.asarray((weights.numpy() * whole).sum(0), np.float32),
+        log_residual(observed),
         np.stack([smoothed(s, RESPONSE_AROUND) for s in observed.inputs.slope_sensitivity.numpy()]),
         use.mean(0, dtype=np.float32),
         float(variance.mean().sqrt()) if variance.numel() else 0.0,
         matte=(1.0 - observed.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
     )
+
+
+def log_residual(observed: Observation) -> NDArray[np.float32]:
+    """(H, W) log radiance less that of the coarse fit, a weighted mean over channels."""
+    # Interpolate clipped texels, to no less than the clipped value.
+    channels = zip(observed.inputs.log.numpy(), observed.plane.measured.numpy(), strict=True)
+    whole = [np.maximum(filled(channel, seen), channel) for channel, seen in channels]
+    return np.asarray((channel_weights(observed.noise).numpy() * whole).sum(0), np.float32)
+
+
+def with_mean_cell(
+    observed: Observation, prediction: NetworkPrediction, waves: tuple[Wave, ...]
+) -> NetworkPrediction:
+    """Relief of a regular material with its mean cell everywhere (lattice_relief.py)."""
+    if not waves:
+        return prediction
+    predicted = prediction.residuals
+    height = averaged_over_cells(predicted.height[0].numpy(), log_residual(observed), waves)
+    return replace(prediction, residuals=replace(predicted, height=torch.from_numpy(height)[None]))
 
 
 def scaled_to_spectrum(
