@@ -306,7 +306,8 @@ class Renderer:
         endless = self.texture.periodic or not _covers(self.texture, surface)
         self.sampler = Sampler(self.texture, surface.repeat, endless)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
-        self._horizon_maps = Horizons(self.relief)
+        skies = any(isinstance(light, EnvironmentLight) for light in scene.lights)
+        self._horizon_maps = Horizons(self.relief, skies=skies)
 
     @property
     def film(self) -> Film:

@@ -128,6 +128,7 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     right, below = multiple - 1, multiple - 1
     mode = "reflect" if multiple < min(height, width) else "replicate"
     whole = F.pad(inputs[None], (1, right, 1, below), mode=mode)
+    del inputs  # half a hundred megabytes, and the largest need of a capture is next
     whole = whole.contiguous(memory_format=torch.channels_last)
     total: Tensor | float = 0.0
     for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
