@@ -248,6 +248,17 @@ def keep_memory() -> None:
         library.mallopt(_M_ARENA_MAX, 1)
 
 
+def return_memory() -> None:
+    """Return buffers that keep_memory() kept to the system, before work that needs other ones.
+
+    What was kept is cut to pieces by what is still in use. It takes as long as clearing its pages
+    again: 0.2 s for 300 MB.
+    """
+    library: Any = ctypes.CDLL(None)
+    if hasattr(library, "malloc_trim"):
+        library.malloc_trim(0)
+
+
 # Loads compiled loops from the folders of their sources.
 
 
