@@ -46,7 +46,6 @@ from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
-from matcap.files.process import return_memory
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane
 from matcap.photo.left_out import largest_rectangle
@@ -155,7 +154,6 @@ def estimate_exemplar(
     observed, prediction, spectrum = refined(plane, rectified.coarse, network, clock, bound=bound)
     coarse = observed.coarse
     with clock.stage("inpaint"):
-        return_memory()
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
         exemplar = transfer_detail(exemplar, whole, coarse, copies)
@@ -191,7 +189,6 @@ def refined(
         relief and albedo measured in the photograph.
     """
     with clock.stage("network"):
-        return_memory()
         observed = Observation.of(plane, coarse)
         bounded = observed.below_white() if bound else observed
         observed, prediction = predict_maps(bounded, network)
