@@ -189,7 +189,7 @@ def quiet_decoders() -> AbstractContextManager[None]:
 # Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection.
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
-_MOST_HELD = 700_000_000  # bytes from which kept memory is returned
+_MOST_RESIDENT = 700_000_000  # bytes from which kept memory is returned
 
 
 def cores() -> int:
@@ -250,7 +250,7 @@ def keep_memory() -> None:
 
 
 def return_memory() -> None:
-    """Return what keep_memory() kept to the system, if the process holds more than _MOST_HELD.
+    """Return what keep_memory() kept to the system, if the process holds more than _MOST_RESIDENT.
 
     Kept buffers are cut to pieces by those in use, and no later work can use them all. It takes as
     long as clearing the pages again: 0.2 s for 300 MB. No-op but with glibc, on Linux.
@@ -258,7 +258,7 @@ def return_memory() -> None:
     library: Any = ctypes.CDLL(None)
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
-        if hasattr(library, "malloc_trim") and pages * os.sysconf("SC_PAGE_SIZE") > _MOST_HELD:
+        if hasattr(library, "malloc_trim") and pages * os.sysconf("SC_PAGE_SIZE") > _MOST_RESIDENT:
             library.malloc_trim(0)
 
 
