@@ -82,9 +82,7 @@ def capture(
     from matcap.capture.bracket import MOST, find_brackets, unmerged
     from matcap.cli.display import CaptureDisplay
     from matcap.files.output import check_writable
-    from matcap.files.process import keep_memory
 
-    keep_memory()  # this process is matcap's own
     settings = chosen(CaptureSettings, given)
     outputs = chosen(OutputSettings, {**given, "seed": settings.seed})
     check_photographs(settings, len(photos) if together else 1)

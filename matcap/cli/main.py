@@ -23,7 +23,7 @@ from matcap.cli import capture, doctor, inspect, relight, synth
 from matcap.cli.options import ALL, PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
-from matcap.files.process import ignore_signals, raise_on_signals
+from matcap.files.process import ignore_signals, keep_memory, raise_on_signals
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
 
@@ -148,6 +148,7 @@ def run(program: typer.Typer | None = None) -> None:
     # NumPy's matrices are small here: on a shared machine its threads spin twenty times as long as
     # they compute.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    keep_memory()  # before large libraries are imported: this process is matcap's own
     came = raise_on_signals()
     code = main(program=program, interrupted=came)
     ignore_signals()

@@ -81,10 +81,8 @@ def synth(
     import os
 
     from matcap.cli.display import ShareDisplay
-    from matcap.files.process import keep_memory
     from matcap.synth.stream import synthesise, unfinished_bytes
 
-    keep_memory()  # this process is matcap's own
     targets, textures = exported.get("targets", ()), exported.get("maps")
     if (targets or textures) and given.get("udim"):
         raise UsageError.at(

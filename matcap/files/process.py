@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr
+from contextlib import AbstractContextManager, ExitStack, contextmanager, redirect_stderr, suppress
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
@@ -189,6 +189,7 @@ def quiet_decoders() -> AbstractContextManager[None]:
 # Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection.
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
+_MOST_RESIDENT = 700_000_000  # bytes from which kept memory is returned
 
 
 def cores() -> int:
@@ -246,6 +247,19 @@ def keep_memory() -> None:
         library.mallopt(_M_TRIM_THRESHOLD, 1 << 30)
         # Heaps of single threads are limited to 64 MB, so that they would not keep larger buffers.
         library.mallopt(_M_ARENA_MAX, 1)
+
+
+def return_memory() -> None:
+    """Return what keep_memory() kept to the system, if the process holds more than _MOST_RESIDENT.
+
+    Kept buffers are cut to pieces by those in use, and no later work can use them all. It takes as
+    long as clearing the pages again: 0.2 s for 300 MB. No-op but with glibc, on Linux.
+    """
+    library: Any = ctypes.CDLL(None)
+    with suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        if hasattr(library, "malloc_trim") and pages * os.sysconf("SC_PAGE_SIZE") > _MOST_RESIDENT:
+            library.malloc_trim(0)
 
 
 # Loads compiled loops from the folders of their sources.

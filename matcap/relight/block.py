@@ -99,6 +99,18 @@ class Round:
         sides = max(film.width, film.height) / min(film.width, film.height)
         return 2.0 * self.radius * _MARGIN * sides
 
+    def farthest_longitude(self, view: View) -> float:
+        """Largest |longitude| of what a camera may see: n . position > radius there, n the normal.
+
+        A camera above a sphere's pole, or at infinity, sees some of all.
+        """
+        x, y, z = view.position
+        across = math.hypot(x, z)
+        nearest = self.radius**2 if self.cylinder else self.radius**2 - y**2
+        if not view.perspective or nearest <= 0.0 or across**2 <= nearest:
+            return math.pi
+        return min(abs(math.atan2(x, z)) + math.acos(math.sqrt(nearest) / across), math.pi)
+
     def hits(self, view: View, top: int, bottom: int) -> Hits:
         """Intersections of the rays of rows [top, bottom) of the picture."""
         origin, direction = view.rays(top, bottom)

@@ -214,17 +214,17 @@ class Horizons:
     """Horizon maps of a relief, computed on demand.
 
     Attributes:
-        tangents: (H W, AZIMUTHS) tangent of the horizon's elevation.
+        tangents: (H W, AZIMUTHS) tangent of the horizon's elevation; of no texel without `skies`.
         open: (H W, 2) sky view factor: irradiance of a uniform environment over that without
             relief but the same normal, [0, 1]; and cosine-weighted share of directions that meet
             relief, which times the largest albedo bounds the length of transfer vectors.
     """
 
-    def __init__(self, relief: Relief) -> None:
+    def __init__(self, relief: Relief, *, skies: bool = True) -> None:
         self.relief = relief
         size = len(relief.heights)
         # np.empty: pages that are never written take no memory.
-        self.tangents: Array = np.empty((size, AZIMUTHS), dtype=np.float32)
+        self.tangents: Array = np.empty((size if skies else 0, AZIMUTHS), dtype=np.float32)
         self.open: Array = np.empty((size, 2), dtype=np.float32)
         self._marks = np.zeros(size, dtype=np.uint32)
         self._calls: Iterator[int] = count(1)
@@ -266,9 +266,10 @@ class Horizons:
         if not unknown:
             return
         transfer = None if state.transfer is None else state.transfer.ctypes.data
+        tangents = self.tangents.ctypes.data if self.tangents.size else None
         library.matcap_relight_walk(
             byref(state.walk), c_int64(unknown), address(texels),
-            address(self.tangents), address(self.open), Pointer(transfer),
+            Pointer(tangents), address(self.open), Pointer(transfer),
         )  # fmt: skip
         state.walked[texels[:unknown]] = 1
         if state is not self._plain:

@@ -20,7 +20,7 @@ from matcap.example.example import Example
 from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.process import cores
-from matcap.relight.block import Block, Hits, ShadingContext, shape_of
+from matcap.relight.block import Block, Hits, Round, ShadingContext, shape_of
 from matcap.relight.camera import Array, view_of
 from matcap.relight.effects import (
     DEFAULT_TOLERANCE,
@@ -257,6 +257,9 @@ OnShare = Callable[[float], None]
 BY_TILES = ("area", "environment", "parallax", "shadows", "visibility", "interreflection")
 # Largest side of the rectangle read from a material, in texels; beyond that it repeats.
 _LARGEST_READ = 8192
+# Texels beyond what is seen that lookups read, farther than any horizon; and those left out on a
+# side are a multiple of these, so that mip levels of even widths average the same texels.
+_BEYOND, _GROUPED = 320, 64
 # Largest height range over the material's longer side: rays cross proportionally many texels.
 _TALLEST = 10.0
 
@@ -306,7 +309,8 @@ class Renderer:
         endless = self.texture.periodic or not _covers(self.texture, surface)
         self.sampler = Sampler(self.texture, surface.repeat, endless)
         self.relief = Relief(self.texture, surface.repeat, surface.displacement, endless)
-        self._horizon_maps = Horizons(self.relief)
+        skies = any(isinstance(light, EnvironmentLight) for light in scene.lights)
+        self._horizon_maps = Horizons(self.relief, skies=skies)
 
     @property
     def film(self) -> Film:
@@ -396,14 +400,15 @@ def _texture(source: Source, scene: Scene, seed: int) -> Texture:
         return source
     if isinstance(source, Example):
         texel_size = source.exemplar.texel_size
-        area = Rectangle(0, 0, *_needed(scene, texel_size))
+        area = _needed(scene, texel_size)
         return Texture.from_stacked(source.maps(seed, area, None), texel_size)
     from matcap.brdf.maps import MapSet
 
     if isinstance(source, MapSet):
         return Texture.from_maps(source)
-    width, height = _needed(scene, source.texel_size)
-    return Texture.from_maps(source.maps(width, height, seed=seed, x=0, y=0))
+    area = _needed(scene, source.texel_size)
+    maps = source.maps(area.width, area.height, seed=seed, x=area.x, y=area.y)
+    return Texture.from_maps(maps)
 
 
 def _check_relief(texture: Texture, surface: Surface) -> None:
@@ -426,8 +431,12 @@ def _covers(texture: Texture, surface: Surface) -> bool:
     return surface.type == "plane" and side <= min(texture.extent) * (1.0 + 1e-6)
 
 
-def _needed(scene: Scene, texel_size: float) -> tuple[int, int]:
-    """Width and height of the material to read for a scene, in texels; at most _LARGEST_READ."""
+def _needed(scene: Scene, texel_size: float) -> Rectangle:
+    """The rectangle of the material to read for a scene, at most _LARGEST_READ texels a side.
+
+    Of a round surface the columns that its camera cannot see are left out, as many on the left as
+    on the right, so that the middle stays where it is.
+    """
     kind, size = scene.surface.type, scene.surface.size or 2.0
     film, width, height = scene.film or Film(1, 1), size, size
     if kind == "plane" and scene.camera is None:
@@ -437,7 +446,13 @@ def _needed(scene: Scene, texel_size: float) -> tuple[int, int]:
         width, height = 3.1416 * size, size * (1.5708 if kind == "sphere" else 1.0)
     texels = scene.surface.repeat / texel_size
     across, down = (min(_LARGEST_READ, max(1, round(side * texels))) for side in (width, height))
-    return across, down
+    if kind == "plane" or scene.film is None or across == _LARGEST_READ:
+        return Rectangle(0, 0, across, down)
+    shape = Round(size / 2.0, kind == "cylinder")
+    view = view_of(scene.camera, film, shape.framed(film))
+    seen = shape.farthest_longitude(view) * shape.radius * texels + _BEYOND
+    unseen = max(0, int(across / 2.0 - seen)) // _GROUPED * _GROUPED
+    return Rectangle(unseen, 0, across - 2 * unseen, down)
 
 
 def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:

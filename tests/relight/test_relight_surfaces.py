@@ -16,7 +16,8 @@ from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.files.exr import write_exr
-from matcap.relight.camera import vec
+from matcap.relight.block import Round
+from matcap.relight.camera import vec, view_of
 from matcap.relight.environment_map import environment_of
 from matcap.relight.foreign.read import read_foreign
 from matcap.relight.render import Renderer
@@ -50,6 +51,20 @@ def test_a_sphere_is_shaded_by_its_normals():
     z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
     expected = np.where(inside, np.maximum((x + 2 * y + 2 * z) / 3, 0), 0)
     np.testing.assert_allclose(picture, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("cylinder", [False, True])
+def test_no_camera_sees_farther_around_than_its_bound(cylinder):
+    """Columns beyond it are not read from a material."""
+    draw, shape, film, near = np.random.default_rng(5), Round(0.8, cylinder), Film(96, 96), 0
+    for _ in range(40):
+        place = draw.normal((0.0, 0.0, 2.0), (1.5, 0.5, 1.0))
+        view = view_of(Camera(position=tuple(place), fov=50.0), film, 1.0)
+        hits, most = shape.hits(view, 0, 96), shape.farthest_longitude(view)
+        seen = np.abs(hits.place[0])[hits.seen] / shape.radius
+        assert (seen <= most + 1e-6).all()
+        near += most < math.pi and bool(len(seen)) and seen.max() > 0.9 * most
+    assert near > 5
 
 
 def test_a_cylinder_is_shaded_around_and_even_upwards():

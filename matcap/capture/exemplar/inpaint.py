@@ -491,6 +491,18 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
     )
     inside, here = free[box], source[:, *box]
     copied = maps[:, here[0], here[1]].astype(np.float64)
+    result = maps.copy()
+    shown = copied + _solved(_mismatches(maps, here, copied, free) * inside, inside, reach)
+    result[:, *box] = np.where(inside, shown, maps[:, *box])
+    return result
+
+
+def _mismatches(
+    maps: Floats, here: BlockPlaces, copied: NDArray[np.float64], free: TexelMask
+) -> NDArray[np.float64]:
+    """(C, h, w) sums over neighbours of how far gradients of `copied`, maps from places `here`, are
+    from the wanted ones.
+    """
     wanted = np.zeros_like(copied)
     for axis in (0, 1):
         first, last = _ends(axis)
@@ -503,10 +515,7 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
         mismatch = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
         wanted[:, *first] += mismatch
         wanted[:, *last] -= mismatch
-    result = maps.copy()
-    shown = copied + _solved(wanted * inside, inside, reach)
-    result[:, *box] = np.where(inside, shown, maps[:, *box])
-    return result
+    return wanted
 
 
 def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats:

@@ -149,15 +149,19 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     right, below = multiple - 1, multiple - 1
     mode = "reflect" if multiple < min(height, width) else "replicate"
     whole = F.pad(inputs[None], (1, right, 1, below), mode=mode)
+    del inputs  # half a hundred megabytes, and the largest need of a capture is next
     whole = whole.contiguous(memory_format=torch.channels_last)
-    total: Tensor | float = 0.0
-    for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
+
+    def shifted(down: int, across: int) -> Tensor:
         needed = height + down, width + across
         rows, columns = (-(-side // multiple) * multiple for side in needed)
         part = whole[:, :, 1 - down :, 1 - across :][..., :rows, :columns]
         answer: Tensor = network(part.contiguous(memory_format=torch.channels_last))
-        total = answer[0, :, down : down + height, across : across + width] + total
-    assert isinstance(total, Tensor)
+        return answer[0, :, down : down + height, across : across + width]
+
+    total = shifted(0, 0) + 0.0
+    for down, across in ((0, 1), (1, 0), (1, 1)):
+        total += shifted(down, across)
     return total / 4.0
 
 

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.files.process import cores
 from matcap.photo.left_out import area_averaged
 
 # Longest and shortest wavelength of each band, texels.
@@ -452,7 +453,7 @@ def equalise(
         (share, _weight(angle, seen))
         for angle, share in _directions(tuple(side + 2 * margin for side in height.shape))
     ]
-    with ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor(cores()) as pool:  # each holds a spectrum and its copies
         evened = partial(_evened, margin=margin, directions=directions)
         even = np.stack(list(pool.map(evened, bands)))
     wanted = slope_energies(height)

@@ -60,9 +60,16 @@ INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
     float level[LANES];
     int changed = 0;
     EACH_LANE(k) level[k] = g->level[a][k];
-    for (int step = part ? w->end[part - 1] : 0; step < w->end[part]; step++) {
+    int first = part ? w->end[part - 1] : 0;
+    for (int step = first; step < w->end[part]; step++) {
         const float *there = at + offset[step];
         float near = inverse[step];
+        /* Distances grow along an azimuth: where no texel is high enough, none farther is. */
+        if (step > first && (step - first) % 4 == 0) {
+            int could = 0;
+            EACH_LANE(k) could |= (w->highest - g->own[k]) * near > level[k];
+            if (!could) break;
+        }
         EACH_LANE(k) {
             float rise = (there[k] - g->own[k]) * near;
             level[k] = rise > level[k] ? rise : level[k];
@@ -101,8 +108,8 @@ INLINE void walk(const Walk *w, const float *at, int64_t spot, Group *g) {
     }
 }
 
-/* Fills, for groups of texels, horizons (AZIMUTHS a texel), view factors (2), and, if w->lit,
-   transfer vectors (CHANNELS). starts: the first texel of each group. */
+/* Fills, for groups of texels, horizons (AZIMUTHS a texel, unless NULL), view factors (2), and, if
+   w->lit, transfer vectors (CHANNELS). starts: the first texel of each group. */
 WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *starts,
                               float *tangents, float *open, float *transfer) {
     Group g;
@@ -125,7 +132,8 @@ WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *start
             float part = seen[k] * (4.0f / AZIMUTHS) / (1.0f + g.nz[k]);
             open[2 * to] = part < 0.0f ? 0.0f : part > 1.0f ? 1.0f : part;
             open[2 * to + 1] = g.faced[k] * (2.0f / AZIMUTHS);
-            for (int a = 0; a < AZIMUTHS; a++) tangents[to * AZIMUTHS + a] = g.level[a][k];
+            for (int a = 0; a < AZIMUTHS && tangents; a++)
+                tangents[to * AZIMUTHS + a] = g.level[a][k];
             for (int c = 0; c < CHANNELS && w->lit; c++)
                 transfer[to * CHANNELS + c] = g.sum[c][k];
         }

@@ -14,7 +14,7 @@ from matcap.files.process import find_library, not_built
 from matcap.relight.camera import Array, lattice
 
 # As in loops.h.
-_FORM = 3
+_FORM = 4
 LANES, CHANNELS, AZIMUTHS = 8, 9, 16
 
 Pointer, Whole, Real = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float

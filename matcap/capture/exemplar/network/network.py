@@ -35,6 +35,7 @@ _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
 _GROUPS = 4  # of GroupNorm
+_STRIP, _HALO = 64, 2  # rows at half the resolution of a strip, and beyond it that it reads
 
 # File of the network: weights in half precision, and a model card.
 FORMAT = "matcap-inverse"
@@ -210,14 +211,26 @@ class Inverse(nn.Module):
             here = self.heights[index](x) * 2.0**index
             height = here if height is None else here + _doubled(height)
         assert height is not None
+        # Full resolution takes most of the memory: by strips of rows, each with all that it reads.
+        rows, answers = x.shape[-2], []
+        for top in range(0, rows, _STRIP):
+            first, last = max(0, top - _HALO), min(rows, top + _STRIP + _HALO)
+            answer = self._fine(x[:, :, first:last], inputs[:, :, 2 * first : 2 * last])
+            kept = slice(2 * (top - first), 2 * (min(top + _STRIP, rows) - first))
+            answers.append(answer[:, :, kept])
+        answer = torch.cat(answers, dim=2)
+        # Albedo is predicted relative to the photograph's log radiance over the uniform material.
+        answer[:, ALBEDO] += parts.log
+        answer[:, _HEIGHT] += _doubled(height)
+        return answer
+
+    def _fine(self, x: Tensor, inputs: Tensor) -> Tensor:
+        """(B, ANSWERS, H, W) of features at half the resolution, and inputs."""
         # A convolution of features and inputs, without a copy of both side by side.
         weight, features = self.fine.weight, F.pixel_shuffle(self.head(x), 2)
         fine = F.conv2d(features, weight[:, :-INPUTS], self.fine.bias, padding=1)
         fine = fine.add_(F.conv2d(inputs, weight[:, -INPUTS:], padding=1))
-        answer = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
-        # Albedo is predicted relative to the photograph's log radiance over the uniform material.
-        answer[:, ALBEDO] += parts.log
-        answer[:, _HEIGHT] += _doubled(height)
+        answer: Tensor = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
         return answer
 
 
