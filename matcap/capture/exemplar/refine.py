@@ -8,7 +8,8 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
 4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
    (mean_parameters.py);
 5. refine_albedo: residual log radiance is assigned to the albedo of every texel, of metal to F0;
-6. flatten and with_photographed_mean: as 1, and the mean radiance is the photograph's;
+6. evened_albedo, flatten, with_photographed_mean: glints of black gloss are taken off albedo, as 1,
+   and the mean radiance is the photograph's;
 7. refitted_to_highlight, after inpainting, where light above white is measured: F0 and roughness
    once more, with the finished relief.
 
@@ -59,7 +60,7 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
-from matcap.capture.exemplar.predict import NetworkPrediction, map_set_of
+from matcap.capture.exemplar.predict import NetworkPrediction, albedo_weight, map_set_of
 from matcap.capture.exemplar.relief_spectrum import (
     WIDE,
     BandEnergies,
@@ -139,9 +140,23 @@ def refine_maps(
         metal=metal,
         noise=observed.noise,
     )
-    even = flattened(observed, replace(fitted, residuals=refined))
+    even = flattened(observed, replace(fitted, residuals=evened_albedo(observed, refined)))
     shifted = with_photographed_mean(even.residuals, *photograph, observed.light, metal)
     return replace(even, residuals=shifted)
+
+
+def evened_albedo(observed: Observation, residuals: SurfaceParameters) -> SurfaceParameters:
+    """Log albedo nearer to its mean where light is specular, if the light has little of albedo.
+
+    Of black gloss, relief is seen in the highlight, and what it does not explain is glints, not
+    albedo: deviations from the mean are multiplied by 1 - (1 - w) s, with the specular fraction s
+    and w = albedo_weight.
+    """
+    specular = torch.from_numpy(observed.specular_fraction)
+    seen = (1.0 - specular) * observed.plane.valid + 1e-6
+    mean = (residuals.diffuse * seen).sum((1, 2), keepdim=True) / seen.sum()
+    kept = 1.0 - (1.0 - albedo_weight(observed)) * specular
+    return replace(residuals, diffuse=mean + (residuals.diffuse - mean) * kept)
 
 
 def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:

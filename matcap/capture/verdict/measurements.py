@@ -196,15 +196,15 @@ def texture_contrasts(
     `seen` is the photograph, `tiles` are of it and of its re-rendering (tile_contrasts).
 
     By band, and by region: the photograph's brightest tiles ("in the light", where gloss reveals
-    relief) and the others. Medians over tiles, robust to the gradient of a highlight. Colour of a
-    developed photograph is uncertain by a code of 255, which blurs to blotches:
-    that variance is added to both, so that only visible differences count.
+    relief) and the others. Medians over tiles, robust to the gradient of a highlight. A developed
+    photograph is uncertain by a code of 255, which blurs to blotches of colour, and is most of what
+    a black sample shows: that variance is added to both, so that only visible differences count.
     """
     bright = _bright_tiles(seen)
     before, after = tiles
     if developed:
-        noise = _code_variance(cell_means(seen, _TILES), _floors(seen))
-        before, after = (each | {"coloured": each["coloured"] + noise} for each in tiles)
+        noise = _code_variance(seen)
+        before, after = ({band: each[band] + noise[band] for band in each} for each in tiles)
 
     contrast, places = {}, {}
     for band in before:
@@ -266,15 +266,17 @@ def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     return {**tiles, "coloured": cell_means(np.square(chroma), _TILES).mean(axis=2)}
 
 
-def _code_variance(picture: Picture, floor: Picture) -> Picture:
-    """(H, W) variance of log red / green and blue / green by an error of one code in each channel.
-
-    Args:
-        picture: (H, W, 3) linear.
-        floor: (3,) radiance added before the logarithm.
+def _code_variance(picture: Picture) -> dict[str, Picture]:
+    """By band, variance in each tile by an error of one code: of log luminance, all channels alike,
+    and of log red / green and blue / green, each channel for itself. `picture` is linear.
     """
-    variance = np.square(code_step(picture) / (picture + floor))
-    return np.asarray(variance[..., ::2].mean(axis=2) + variance[..., 1])
+    tiles = cell_means(picture, _TILES)
+    grey = channel_mean(tiles)
+    floor = _TOE * np.median(channel_mean(picture)) + 1e-6
+    luminance = np.square(code_step(grey) / (grey + floor))
+    variance = np.square(code_step(tiles) / (tiles + _floors(picture)))
+    coloured = np.asarray(variance[..., ::2].mean(axis=2) + variance[..., 1])
+    return {"fine": luminance, "coarse": luminance, "coloured": coloured}
 
 
 def _log_luminance(picture: Picture) -> Picture:

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.rectified import PhotographLight
+from matcap.capture.rectified import Observation, PhotographLight
+from matcap.files.color import srgb_decode, srgb_encode
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import render_flash
@@ -72,3 +73,17 @@ def even(shot: Photographed, albedo: float, roughness: float) -> Photographed:
 def whole_plane(linear: torch.Tensor) -> Plane:
     """A picture of which every texel counts."""
     return plane_of(linear, torch.ones(linear.shape[-2:], dtype=torch.bool))
+
+
+def in_8_bits(albedo: float, intensity: float) -> tuple[Photographed, Observation]:
+    """Glossy bumps photographed into 8-bit sRGB codes, clipped at white."""
+    setup = replace(SETUP, intensity=(intensity,) * 3)
+    uniform = CoarseFit((albedo,) * 3, 0.045, 0.35, setup, residual=0.0)
+    shot = replace(photographed(0.1, 0.0), uniform=uniform)
+    even = torch.ones_like(shot.maps.diffuse)
+    maps = replace(shot.maps, diffuse=albedo * even, roughness=0.35 * even[:1])
+    light = render_flash(maps, setup, shot.points).clamp(0.0, 1.0).numpy()
+    codes = np.rint(255.0 * srgb_encode(light)) / 255.0
+    linear = torch.from_numpy(srgb_decode(codes).astype(np.float32))
+    plane = replace(plane_of(linear, (linear < 1.0).all(0)), developed=True)
+    return replace(shot, maps=maps, linear=linear), Observation.of(plane, uniform)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from photographed import SETUP, Photographed, photographed, whole_plane
+from photographed import SETUP, Photographed, in_8_bits, photographed, whole_plane
 
 from matcap.capture.exemplar.inpaint import Copies, composed, inpainted, transport
 from matcap.capture.exemplar.network.network import load_inverse
@@ -16,11 +16,8 @@ from matcap.capture.exemplar.predict import albedo_weight, exemplar_of, predict_
 from matcap.capture.exemplar.refine import refine_maps
 from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
-from matcap.files.color import srgb_decode, srgb_encode
-from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
-from matcap.flash.rectify import plane_of
 
 # Rings of albedo around the mirror point.
 
@@ -130,23 +127,9 @@ def test_a_spot_in_albedo_is_inpainted():
     assert abs(inside - before) < 0.3
 
 
-def _in_8_bits(albedo: float, intensity: float) -> tuple[Photographed, Observation]:
-    """Glossy bumps photographed into 8-bit sRGB codes, clipped at white."""
-    setup = replace(SETUP, intensity=(intensity,) * 3)
-    uniform = CoarseFit((albedo,) * 3, 0.045, 0.35, setup, residual=0.0)
-    shot = replace(photographed(0.1, 0.0), uniform=uniform)
-    even = torch.ones_like(shot.maps.diffuse)
-    maps = replace(shot.maps, diffuse=albedo * even, roughness=0.35 * even[:1])
-    light = render_flash(maps, setup, shot.points).clamp(0.0, 1.0).numpy()
-    codes = np.rint(255.0 * srgb_encode(light)) / 255.0
-    linear = torch.from_numpy(srgb_decode(codes).astype(np.float32))
-    plane = replace(plane_of(linear, (linear < 1.0).all(0)), developed=True)
-    return replace(shot, maps=maps, linear=linear), Observation.of(plane, uniform)
-
-
 def test_black_gloss_keeps_the_relief_that_its_highlight_shows():
     """Albedo, which the highlight hides, hardly shows; relief shows there and nowhere else."""
-    shot, observed = _in_8_bits(0.0003, 4.0)
+    shot, observed = in_8_bits(0.0003, 4.0)
     observed, prediction = predict_maps(observed, load_inverse())
     exemplar = exemplar_of(observed, refine_maps(observed, prediction))
     _, copies = inpainted(exemplar, observed)
@@ -158,7 +141,7 @@ def test_black_gloss_keeps_the_relief_that_its_highlight_shows():
 
 
 def test_albedo_counts_where_it_makes_the_light():
-    weights = [albedo_weight(_in_8_bits(albedo, 6.0)[1]) for albedo in (0.004, 0.04, 0.3)]
+    weights = [albedo_weight(in_8_bits(albedo, 6.0)[1]) for albedo in (0.004, 0.04, 0.3)]
     assert weights[0] < 0.3 < weights[1] <= weights[2] == 1.0
 
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from photographed import Photographed, even, photographed
+from photographed import Photographed, even, in_8_bits, photographed
 
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.maps import MapSet
@@ -17,6 +17,7 @@ from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.exemplar.refine import (
+    evened_albedo,
     flatten,
     radiance_residual,
     refine_albedo,
@@ -391,3 +392,19 @@ def test_gloss_is_fitted_to_the_highlight_with_the_finished_relief(factor: float
     assert np.allclose(fitted.diffuse, exemplar.diffuse, rtol=0.1)
     clipping = Observation.of(plane_of(linear, plane.valid), shot.uniform)
     assert refitted_to_highlight(exemplar, clipping, np.zeros_like(wrong.height[0])) is exemplar
+
+
+def test_glints_of_black_gloss_are_no_albedo():
+    """Matte albedo is as it was; of black gloss its deviations shrink in the lobe, not its mean."""
+    rng = np.random.default_rng(1)
+    for albedo, black in ((0.3, False), (0.0003, True)):
+        shot, observed = in_8_bits(albedo, 4.0)
+        drawn = torch.from_numpy(rng.normal(0.5, 0.3, shot.linear.shape).astype(np.float32))
+        before = replace(observed.light.residuals(shot.maps), diffuse=drawn)
+        after = evened_albedo(observed, before).diffuse
+        glossy = torch.from_numpy(observed.specular_fraction > 0.95)
+        if black:
+            assert after[:, glossy].std() < 0.2 * drawn[:, glossy].std()
+            assert after[:, glossy].mean() == pytest.approx(0.5, abs=0.02)
+        else:
+            assert torch.allclose(after, drawn, atol=1e-6)

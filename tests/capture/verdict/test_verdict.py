@@ -679,3 +679,14 @@ def test_colour_within_a_code_is_noise_of_a_developed_photograph() -> None:
         assert least < after / before < most
     before, after = texture_contrasts(seen, tiles)[0]["coloured texture in the light"]
     assert after < 1e-3 < before
+
+
+@pytest.mark.parametrize(("level", "codes", "counts"), [(6e-4, 0.7, False), (0.2, 24.0, True)])
+def test_codes_of_black_are_no_texture(level: float, codes: float, counts: bool) -> None:
+    """Noise of less than a code is most of the contrast of black; 24 codes of grey are missed."""
+    drawn = np.random.default_rng(3).standard_normal((192, 256, 1)).astype(np.float32)
+    flat = np.full((192, 256, 3), level, np.float32)
+    seen = np.maximum(flat + codes * code_step(flat) * drawn, 0.0).astype(np.float32)
+    tiles = tile_contrasts(seen), tile_contrasts(flat)
+    before, after = texture_contrasts(seen, tiles, developed=True)[0]["fine texture in the light"]
+    assert (after < 0.3 * before) if counts else (after > 0.6 * before)
