@@ -115,6 +115,7 @@ MIRRORED = 0.4
 LEAST_SHARE = 0.01  # least share of the photograph for that region
 # Share of the photograph, with the least specular fraction, in the mattest region.
 _MATTE_SHARE = 0.33
+_GLOSSES = 8  # bins of the specular fraction of the others
 _CELLS = 4  # across the picture, parts whose energies tell how much texture differs by place
 
 
@@ -146,17 +147,33 @@ def refine_maps(
 
 
 def evened_albedo(observed: Observation, residuals: SurfaceParameters) -> SurfaceParameters:
-    """Log albedo nearer to its mean where light is specular, if the light has little of albedo.
+    """Log albedo with no more contrast in the highlight than beside it, if light has little of it.
 
     Of black gloss, relief is seen in the highlight, and what it does not explain is glints, not
-    albedo: deviations from the mean are multiplied by 1 - (1 - w) s, with the specular fraction s
-    and w = albedo_weight.
+    albedo. A sample is stationary: with the variance V of log albedo in a bin of the specular
+    fraction, and V_0 that of the mattest _MATTE_SHARE, deviations from the mean are multiplied by
+
+        1 - (1 - w) (1 - min(1, sqrt(V_0 / V))),    w = albedo_weight.
     """
-    specular = torch.from_numpy(observed.specular_fraction)
-    seen = (1.0 - specular) * observed.plane.valid + 1e-6
-    mean = (residuals.diffuse * seen).sum((1, 2), keepdim=True) / seen.sum()
-    kept = 1.0 - (1.0 - albedo_weight(observed)) * specular
-    return replace(residuals, diffuse=mean + (residuals.diffuse - mean) * kept)
+    weight = albedo_weight(observed)
+    used = observed.plane.valid.numpy()
+    specular = observed.specular_fraction
+    if weight == 1.0 or not used.any():
+        return residuals
+    edges = np.quantile(specular[used], np.linspace(_MATTE_SHARE, 1.0, _GLOSSES + 1))
+    place = np.searchsorted(edges, specular)
+    seen = torch.from_numpy((1.0 - specular) * used + 1e-6)
+    deviation = (
+        residuals.diffuse - (residuals.diffuse * seen).sum((1, 2), keepdim=True) / seen.sum()
+    )
+    squares = deviation.square().mean(0).numpy()
+    count, total = (np.bincount(place[used], each, _GLOSSES + 2) for each in (None, squares[used]))
+    variance = total / np.maximum(count, 1)
+    factor = np.minimum(1.0, np.sqrt(variance[0] / np.maximum(variance, 1e-12)))
+    middle = np.array([edges[0], *(0.5 * (edges[1:] + edges[:-1]))])
+    kept = 1.0 - (1.0 - weight) * (1.0 - np.interp(specular, middle, factor[: _GLOSSES + 1]))
+    mean = residuals.diffuse - deviation
+    return replace(residuals, diffuse=mean + deviation * torch.from_numpy(kept.astype(np.float32)))
 
 
 def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:
