@@ -29,7 +29,6 @@ from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
     from matcap.capture.exemplar.estimate import ExemplarEstimate
-    from matcap.capture.multiview.set_report import SetReport
     from matcap.capture.result import CaptureResult, Tuning
     from matcap.flash.geometry import FlashSetup
 
@@ -313,8 +312,7 @@ def warnings(result: CaptureResult) -> Iterable[str]:
     denied = ("flash",) if result.photo.flash_fired is False else ()
     shot = (result.measurements.photograph[key] for key in (*denied, "clipped", "tilt"))
     yield from (finding.line() for finding in shot if finding.rating is not Rating.GOOD)
-    if result.several is not None:
-        yield from _set_warnings(result.several, union=result.settings.union)
+    yield from set_warnings(result)
     if result.estimate is not None and result.estimate.relief_spectrum is None:
         yield (
             "The photograph is too small, or too much of it is clipped or masked, to measure the "
@@ -323,8 +321,11 @@ def warnings(result: CaptureResult) -> Iterable[str]:
         )
 
 
-def _set_warnings(several: SetReport, *, union: bool) -> Iterable[str]:
+def set_warnings(result: CaptureResult) -> Iterable[str]:
     """Sentences on several photographs: left out, uncertain, or in vain with --union."""
+    several = result.several
+    if several is None:
+        return
     for one in several.left_out:
         yield f"{one.name} was left out: {one.why}."
     if uncertain := several.warning():
@@ -332,7 +333,7 @@ def _set_warnings(several: SetReport, *, union: bool) -> Iterable[str]:
     if several.mosaic.margins.any:
         if limited := several.mosaic.warning():
             yield limited
-    elif union:
+    elif result.settings.union:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
             "no larger. Move the phone farther from one to the next, by up to half a picture."

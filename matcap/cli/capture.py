@@ -173,7 +173,7 @@ def _capture(
 ) -> dict[str, Any]:
     began = time.perf_counter()
     from matcap.capture.pipeline import capture_into
-    from matcap.capture.report import no_repeat
+    from matcap.capture.report import no_repeat, set_warnings
 
     spent += time.perf_counter() - began
     shown.started(job.photo)
@@ -189,7 +189,7 @@ def _capture(
         "material": str(job.folder / f"{job.folder.name}.matcap"),
         "verdict": result.verdict.document(),
         "error": result.errors,
-        "notes": list(result.photo.remarks),
+        "notes": [*set_warnings(result), *result.photo.remarks],
     }
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,9 +20,13 @@ from report_schema import check_report
 from matcap.brdf.folder import mapset_files, read_mapset
 from matcap.capture import preview, report
 from matcap.capture import report as outputs
+from matcap.capture.multiview.mosaic import Mosaic
+from matcap.capture.multiview.set_report import SetReport
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.report import report as report_report
 from matcap.capture.report import warnings, write_report
-from matcap.capture.result import Tuning
+from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import (
     DECODER_STAGES,
     DRAWING_STAGES,
@@ -208,6 +213,18 @@ def test_notes_of_reading_are_printed(matcap, pipeline, photo, out):
     other.write_text("another photograph")
     said = matcap("capture", photo, other, "--together", "-o", out, "--size", 16, "--overwrite")
     assert f"b.dng: {pipeline.notes[0]}" in said.err
+
+
+def test_photographs_that_a_set_leaves_out_are_named(matcap, pipeline, photo, out, monkeypatch):
+    first = RegisteredView(SimpleNamespace(name="leather.dng"), PosedCamera.of(FlashSetup()))
+    blurred = (LeftOut("b.dng", "it is blurred"),)
+    measured, offset, mosaic = (0.9, 0.3, 0.4, 0.8), (0.0, 0.2, 0.0), Mosaic.own((64, 48))
+    several = SetReport((first,), (0.02,), (), blurred, measured, offset, mosaic)
+    monkeypatch.setattr(CaptureResult, "several", several)
+    other = photo.with_name("b.dng")
+    other.write_text("another photograph")
+    said = matcap("capture", photo, other, "--together", "-o", out, "--size", 16)
+    assert said.code == 0 and "b.dng was left out: it is blurred." in said.err
 
 
 def test_photographs_of_the_same_stem_do_not_overwrite_each_other(matcap, pipeline, photo, out):
