@@ -28,6 +28,7 @@ from matcap.files.process import (
     dask_threads,
     free_bytes,
     postponed,
+    returning_memory,
     settle_child,
     starting_children,
 )
@@ -157,7 +158,7 @@ def _serve(pipe: Connection, work: DoWork, prepare: Prepare) -> None:
             job = pipe.recv()
         except (EOFError, OSError):
             return
-        pipe.send(("done", work(job, on_progress)))
+        pipe.send(("done", work(job, returning_memory(on_progress))))
 
 
 class Machines:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from matcap.errors import UsageError
 from matcap.files import settings as values
 from matcap.files.names import Progress, ignore_progress
-from matcap.files.process import postponed, return_memory
+from matcap.files.process import postponed
 from matcap.files.settings import CheckedSettings, setting, typed_settings
 
 if TYPE_CHECKING:
@@ -526,7 +526,6 @@ class CaptureClock:
     def stage(self, name: str) -> Iterator[None]:
         """Time a `with` block as a stage, and report its begin and end."""
         began = time.monotonic()
-        return_memory()  # each stage has buffers of other sizes
         self._on_progress(self._now(name, 0.0))
         try:
             yield

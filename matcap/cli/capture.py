@@ -174,11 +174,13 @@ def _capture(
     began = time.perf_counter()
     from matcap.capture.pipeline import capture_into
     from matcap.capture.report import no_repeat, set_warnings
+    from matcap.files.process import returning_memory
 
     spent += time.perf_counter() - began
     shown.started(job.photo)
     photos = (job.photo, *job.others)
-    result = capture_into(job.folder, photos, settings, outputs, shown.progress, spent)
+    progress = returning_memory(shown.progress)
+    result = capture_into(job.folder, photos, settings, outputs, progress, spent)
     alignment = result.material.alignment
     if not outputs.repeats(alignment):
         shown.note(no_repeat(outputs.size, alignment))

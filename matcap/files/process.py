@@ -15,9 +15,12 @@ from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 from matcap.errors import MatcapError
+from matcap.files.names import Progress
+
+Shown = TypeVar("Shown", bound=Progress)
 
 # Handling of Ctrl-C and SIGTERM: both raise KeyboardInterrupt, but not inside atomic steps.
 
@@ -260,6 +263,21 @@ def return_memory() -> None:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         if hasattr(library, "malloc_trim") and pages * os.sysconf("SC_PAGE_SIZE") > _MOST_RESIDENT:
             library.malloc_trim(0)
+
+
+def returning_memory(on_progress: Callable[[Shown], None]) -> Callable[[Shown], None]:
+    """A callback for progress that calls return_memory() where a stage begins: each has buffers of
+    other sizes. For processes that are matcap's own.
+    """
+    stages: set[str] = set()
+
+    def report(now: Shown) -> None:
+        if now.stage not in stages:
+            stages.add(now.stage)
+            return_memory()
+        on_progress(now)
+
+    return report
 
 
 # Loads compiled loops from the folders of their sources.

@@ -21,6 +21,8 @@ from matcap.brdf.folder import MapSetInfo, read_mapset
 from matcap.errors import MatcapError, UsageError
 from matcap.field.field import Field, find_device, read_source, repeatable
 from matcap.field.plane import Grid, Rectangle
+from matcap.files import process
+from matcap.files.names import Progress
 from matcap.space.tuned import DecoderSource
 from matcap.synth import stream
 from matcap.synth.plan import OpenedField
@@ -345,3 +347,13 @@ def test_workers_change_no_byte_on_cuda(material, tmp_path):
     for count in (1, 3):
         write_field(asked, replace(field, source=source), tmp_path / str(count), Work(count))
     assert contents(tmp_path / "1") == contents(tmp_path / "3")
+
+
+def test_memory_is_returned_where_a_stage_begins(monkeypatch):
+    seen, returned = [], []
+    monkeypatch.setattr(process, "return_memory", lambda: returned.append(len(seen)))
+    report = process.returning_memory(seen.append)
+    steps = [Progress(stage, 0.1) for stage in ("network", "network", "inpaint", "network")]
+    for step in steps:
+        report(step)
+    assert seen == steps and returned == [0, 2]
