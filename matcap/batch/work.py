@@ -434,15 +434,15 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
     verdict = result.verdict
     warned = [*([] if verdict.rating.value == "good" else [f"Verdict {verdict.sentence()}"])]
     stated = " ".join(warned).lower()
-    said = list(warnings(result))
+    lines = list(warnings(result))
     if job.detail != job.settings.capture.most_detail:
-        said.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
+        lines.append(f"Memory ran out; captured again at a detail of {job.detail} texels across.")
     for inspection in looked_at:
         of = f"{inspection.name}: " if len(looked_at) > 1 else ""
         poor = [f.line() for f in inspection.findings if not f.rating.fit]
-        said += [f"{of}{line}" for line in poor if line not in said]
+        lines += [f"{of}{one}" for one in poor if one not in lines]
     # The verdict states what of the photograph is worst, and may give its remedy.
-    warned += [s for s in said if not all(p in stated for p in s.lower().rstrip(".").split(". "))]
+    warned += [s for s in lines if not all(p in stated for p in s.lower().rstrip(".").split(". "))]
     tilt = result.material.setup.tilt
     return {
         "name": job.name,

@@ -10,6 +10,7 @@ result is indexed for synthesis.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ from matcap.capture.exemplar.predict import (
     NetworkPrediction,
     exemplar_of,
     find_mixture,
+    grey_noise,
     predict_maps,
     tinted,
 )
@@ -267,12 +269,12 @@ def measured_spectrum(observed: Observation) -> ReliefSpectrum | None:
     predicted maps (docs/notes/capture.md).
     """
     plane, use = observed.plane, observed.plane.measured.numpy()
-    variance = (channel_weights(observed.noise) * observed.noise).square().sum(0)[plane.valid]
+    noise = grey_noise(observed)[plane.valid.numpy()]
     return measure_relief_spectrum(
         log_residual(observed),
         np.stack([smoothed(s, RESPONSE_AROUND) for s in observed.inputs.slope_sensitivity.numpy()]),
         use.mean(0, dtype=np.float32),
-        float(variance.mean().sqrt()) if variance.numel() else 0.0,
+        math.sqrt(float(np.square(noise).mean())) if noise.size else 0.0,
         matte=(1.0 - observed.inputs.gloss[0]).clamp(0.0, 1.0).numpy(),
     )
 

@@ -176,7 +176,7 @@ def smooth_difference(
     toe = np.maximum(_TOE * median + 1e-6, _lacking(median))
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
-    floor = _TOE * float(np.median(light)) + 1e-6
+    floor = _toe(light)
     difference = np.log((lit + floor) / (light + floor))
     rest = by_place(difference)
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
@@ -272,24 +272,29 @@ def _code_variance(picture: Picture) -> dict[str, Picture]:
     """
     tiles = cell_means(picture, _TILES)
     grey = channel_mean(tiles)
-    floor = _TOE * np.median(channel_mean(picture)) + 1e-6
-    luminance = np.square(code_step(grey) / (grey + floor))
+    luminance = np.square(code_step(grey) / (grey + _toe(channel_mean(picture))))
     variance = np.square(code_step(tiles) / (tiles + _floors(picture)))
     coloured = np.asarray(variance[..., ::2].mean(axis=2) + variance[..., 1])
     return {"fine": luminance, "coarse": luminance, "coloured": coloured}
 
 
+def _toe(light: NDArray[np.floating]) -> float:
+    """What is added to light before its logarithm."""
+    return _TOE * float(np.median(light)) + 1e-6
+
+
 def _log_luminance(picture: Picture) -> Picture:
     """Log luminance of a picture (H, W, 3), with a toe."""
     luminance = channel_mean(picture)
-    return np.asarray(np.log(luminance + _TOE * np.median(luminance) + 1e-6))
+    return np.asarray(np.log(luminance + _toe(luminance)))
 
 
 def _floors(picture: Picture) -> Picture:
     """(3,) radiance added to each channel of a picture (H, W, 3) before the logarithm."""
     some = picture[::_SPARSE, ::_SPARSE]
-    floor = _TOE * np.median(channel_mean(some)) + 1e-6
-    return np.maximum(floor, _lacking(np.median(some, axis=(0, 1)))).astype(np.float32)
+    return np.maximum(_toe(channel_mean(some)), _lacking(np.median(some, axis=(0, 1)))).astype(
+        np.float32
+    )
 
 
 def _smooth(picture: Picture) -> NDArray[np.float64]:
