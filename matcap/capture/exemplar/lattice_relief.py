@@ -109,8 +109,8 @@ def _aligned(
     ]
     window = max(_LEAST_WINDOW, round(0.8 * period))
     still = np.zeros((*texture.shape, 2), np.float32)
-    found = cv2.calcOpticalFlowFarneback(codes[0], codes[1], still, 0.5, 2, window, 3, 5, 1.2, 0)
-    flow = np.asarray(found, np.float32)
+    shifts = cv2.calcOpticalFlowFarneback(codes[0], codes[1], still, 0.5, 2, window, 3, 5, 1.2, 0)
+    flow = np.asarray(shifts, np.float32)
     right, down = (blurred(flow[..., axis], _FLOW * period) for axis in (0, 1))
     y, x = np.mgrid[: texture.shape[0], : texture.shape[1]].astype(np.float32)
     from_x, from_y = x - right, y - down
