@@ -504,13 +504,16 @@ def scaled_by_glints(
     squares = [_squared_bands(photograph, r, around) for r in (region, matte)]
     diluted = np.square(1.0 - specular_fraction).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
-    glossy = _denoised(squares[0][:, region].mean(1), float(variance[region].mean()))
-    dull = share * _denoised(squares[1][:, matte].mean(1), float(variance[matte].mean()))
+    raw = squares[0][:, region].mean(1), squares[1][:, matte].mean(1)
+    glossy = _denoised(raw[0], float(variance[region].mean()))
+    dull = share * _denoised(raw[1], float(variance[matte].mean()))
     whole, flat = (_squared_bands(rendered, r, around)[:, r].mean(1) for r in (region, matte))
     # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
     relief = (whole - share * flat).clip(0.5 * whole) + 1e-12
     scatter = _scatter(squares[1], matte) / math.sqrt(max(1.0, _CELLS**2 * float(region.mean())))
-    glints = BandEnergies(relief, (glossy - dull).clip(0.0), scatter * np.hypot(glossy, dull))
+    # Noise is subtracted from energies, not from their deviations: what it hides is not zero.
+    deviation = scatter * np.hypot(raw[0], share * raw[1])
+    glints = BandEnergies(relief, (glossy - dull).clip(0.0), deviation)
     height = residuals.height[0].numpy()
     others = [] if spectrum is None else [BandEnergies.of(height, spectrum)]
     gains = np.sqrt(posterior_factors(glints, *others))
