@@ -250,9 +250,10 @@ def measure_relief_spectrum(
     # Interpolated texels are smooth and lack energy.
     energy = _window_energies(log, cuts) / seen[seen >= _LEAST_SEEN, None, None]
     white = noise**2 * _sums(np.ones((_WINDOW, _WINDOW)), _bins()) / _WINDOW**2
-    energy = np.maximum(energy - white, 0.0)
     matte = np.ones_like(log) if matte is None else matte
-    albedo, slope, error = _regressed(energy, _responses(matte, sensitivity, use, cuts))
+    albedo, slope, error = _regressed(
+        energy - white, white, _responses(matte, sensitivity, use, cuts)
+    )
     return ReliefSpectrum(np.sqrt(albedo), np.sqrt(slope), np.sqrt(np.square(error).sum(1)))
 
 
@@ -294,11 +295,12 @@ def _responses(
     return np.array(responses, np.float64)
 
 
-def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
+def _regressed(energy: Doubles, noise: Doubles, responses: Doubles) -> Doubles:
     """(3, len(BANDS), DIRECTIONS) A, S and the standard error of S, by regression (module).
 
     Args:
-        energy: (windows, len(BANDS), DIRECTIONS) of log radiance.
+        energy: (windows, len(BANDS), DIRECTIONS) of log radiance, without the noise's.
+        noise: (len(BANDS), DIRECTIONS) energy of the noise.
         responses: (windows, 6) from _responses.
     """
     matte, x, y, xx, xy, yy = responses.T
@@ -308,7 +310,10 @@ def _regressed(energy: Doubles, responses: Doubles) -> Doubles:
     angle = np.arange(DIRECTIONS)[:, None] * np.pi / DIRECTIONS
     c, s = np.cos(angle), np.sin(angle)
     slant, squared = c * x + s * y, c * c * xx + 2.0 * c * s * xy + s * s * yy
-    bands = [_regress(slant, squared, matte, band.T, counts) for band in energy.swapaxes(0, 1)]
+    bands = [
+        _regress(slant, squared, matte, band.T, white, counts)
+        for band, white in zip(energy.swapaxes(0, 1), noise, strict=True)
+    ]
     return np.array(bands).swapaxes(0, 1)
 
 
@@ -366,7 +371,12 @@ def _bins() -> NDArray[np.int64]:
 
 
 def _regress(
-    slant: Doubles, squared: Doubles, matte: Doubles, energy: Doubles, counts: Doubles
+    slant: Doubles,
+    squared: Doubles,
+    matte: Doubles,
+    energy: Doubles,
+    noise: Doubles,
+    counts: Doubles,
 ) -> Doubles:
     """(3, DIRECTIONS) A, S and S's standard error of a band, A and S not negative.
 
@@ -374,15 +384,16 @@ def _regress(
 
         E_kn = A_k (1 + f_n + _DILUTION d (matte_n - mean)) + 2 C_k s_kn + S_k (s^2)_kn,
 
-    with f_n and d ~ N(0, 1). Standard errors are proportional to the energies that the previous
-    round expects. A is taken from that round where it is multiplied by f_n or d, so that the
-    equations are linear. f_n is eliminated (_whitened).
+    with f_n and d ~ N(0, 1). Standard errors are proportional to the noise's energy and to what the
+    previous round expects. A is taken from that round where it is multiplied by f_n or d, so that
+    the equations are linear. f_n is eliminated (_whitened).
 
     Args:
         slant: (DIRECTIONS, N) mean of g along the direction, s, in each window.
         squared: (DIRECTIONS, N) mean of its square.
         matte: (N,) mean squared diffuse share.
-        energy: (DIRECTIONS, N) energy of log radiance.
+        energy: (DIRECTIONS, N) energy of log radiance, without the noise's.
+        noise: (DIRECTIONS,) energy of the noise.
         counts: (N,) weight of each window, at most 1.
     """
     count = len(energy)
@@ -391,10 +402,10 @@ def _regress(
     design = np.concatenate([each * term[..., None] for term in terms], axis=2)
     dilution = np.broadcast_to(_DILUTION * (matte - matte.mean()), energy.shape)
     prior = np.eye(3 * count + 1)[-1:]  # of d
-    least = 0.2 * energy.mean(1, keepdims=True) + 1e-12
-    albedo, expected = energy.mean(1, keepdims=True), np.full(energy.shape, energy.mean() + 1e-12)
+    albedo = energy.mean(1, keepdims=True).clip(0.0)
+    least, expected = 0.2 * albedo + 1e-12, np.full(energy.shape, albedo.mean() + 1e-12)
     for _ in range(_ROUNDS):
-        weight = np.sqrt(counts) / expected
+        weight = np.sqrt(counts) / (expected + noise[:, None])
         columns = np.concatenate([design, (dilution * albedo)[..., None]], axis=2)
         rows = np.concatenate([columns, energy[..., None]], axis=2) * weight[..., None]
         of_factor = albedo * weight  # the column of f

@@ -257,6 +257,24 @@ def test_texture_that_differs_in_the_highlight_is_no_steep_relief() -> None:
     assert steep > 1.25 * wanted and float(wanted / true) == pytest.approx(1.0, rel=0.25)
 
 
+def test_an_octave_below_the_noise_does_not_flatten_the_others() -> None:
+    """Where stains differ by place, glints say little of relief, nothing of its finest octave."""
+    _, light, truth = scene(0.1, 0.5)
+    random = np.random.default_rng(1)
+    stains = cv2.GaussianBlur(random.normal(size=(HEIGHT, WIDTH)), (0, 0), 3.0)
+    stains = 0.05 * stains / stains.std() * np.linspace(0.0, 2.0, WIDTH)
+    smooth = 0.3 * cv2.GaussianBlur(truth.height[0].numpy(), (0, 0), 2.0)
+    even = truth.diffuse
+    stained = even + torch.from_numpy(stains).float()
+    truth = replace(truth, diffuse=stained, height=torch.from_numpy(smooth)[None])
+    linear = light.rendered(light.maps(truth))[0].exp()
+    noisy = linear * (0.03 * torch.from_numpy(random.normal(size=linear.shape)).float()).exp()
+    guess = replace(truth, diffuse=even)
+    scaled = scaled_by_glints(guess, noisy, noisy < 9.0, light, torch.full_like(linear, 0.045))
+    slope, true = (each.height.diff(dim=2).std() for each in (scaled, truth))
+    assert float(slope / true) == pytest.approx(1.0, rel=0.3)
+
+
 def test_a_matte_photograph_leaves_relief_alone() -> None:
     assert factor(0.5, 0.9, 0.3) == 1.0
 

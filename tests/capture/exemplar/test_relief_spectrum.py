@@ -61,6 +61,16 @@ def test_slope_energies_are_measured_right(slope: float) -> None:
     assert [tuple(b["wavelengths"]) for b in values["bands"]] == list(BANDS)
 
 
+def test_energy_below_the_noise_is_not_known_to_be_zero() -> None:
+    _, y = np.indices((384, 512)) / 512.0
+    shows = np.stack([np.zeros_like(y), 2.0 * y]).astype(np.float32)
+    noise = 0.1 * np.random.default_rng(5).standard_normal(y.shape).astype(np.float32)
+    seen = np.ones(y.shape, bool)
+    whole, subtracted = (measure_relief_spectrum(noise, shows, seen, n) for n in (0.0, 0.12))
+    assert whole is not None and subtracted is not None
+    assert (subtracted.deviation > 0.3 * whole.deviation).all()
+
+
 def test_albedo_alone_is_not_taken_for_relief() -> None:
     found, _ = _measured(1e-4, 0.3)
     assert np.sqrt(np.square(found.albedo).sum()) == pytest.approx(0.3, rel=0.35)
