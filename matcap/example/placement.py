@@ -271,7 +271,7 @@ def trend_penalty(planes: Floats, known: NDArray[np.bool_]) -> NDArray[np.float6
         planes: (PLANES, H, W) of the exemplar (features.planes_of).
         known: (rows, columns) whether a square of 2^COST_BITS texels may be shown at all.
     """
-    trend = _trend(_local_features(planes, known.shape)) / np.tile(_VISIBLE, 2)[:, None, None]
+    trend = texture_trend(planes, np.ones_like(known))
     some = trend[:, ::_THINNED, ::_THINNED].reshape(len(trend), -1).T
     some = some[known[::_THINNED, ::_THINNED].ravel()]
     if not len(some):
@@ -282,6 +282,18 @@ def trend_penalty(planes: Floats, known: NDArray[np.bool_]) -> NDArray[np.float6
     departure = np.sqrt(np.square(trend - middle).mean(axis=0))
     free = max(_LEAST, float(nearest.min()))
     return np.asarray(_MOST * ((departure - free) / _SLOPE).clip(0.0, 1.0), np.float64)
+
+
+def texture_trend(planes: Floats, seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(6, rows, columns) trend of contrast and orientation, in changes that the eye sees.
+
+    Args:
+        planes: (PLANES, H, W) of the exemplar (features.planes_of).
+        seen: (rows, columns) of equal squares of it, those that the trend is fitted to.
+    """
+    independent = _INDEPENDENT * seen.shape[1] / planes.shape[2]
+    trend = _trend(_local_features(planes, seen.shape), seen, independent)
+    return trend / np.tile(_VISIBLE, 2)[:, None, None]
 
 
 def _local_features(planes: Floats, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -319,18 +331,27 @@ def _local_features(planes: Floats, shape: tuple[int, ...]) -> NDArray[np.float6
     return np.stack(features).astype(np.float64)
 
 
-def _trend(features: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least-squares polynomials of place, times 1 - _CHANCE / F, F their F ratio."""
+def _trend(
+    features: NDArray[np.float64], seen: NDArray[np.bool_], independent: float
+) -> NDArray[np.float64]:
+    """Polynomials of place, fitted to places that are seen, times 1 - _CHANCE / F, F their F ratio.
+
+    Elsewhere they stay within the range that is seen. Places this far apart are independent.
+    """
     count, rows, columns = features.shape
     y, x = np.mgrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : columns * 1j]
     powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
     design = np.stack([(x**i * y**j).ravel() for i, j in powers], axis=1)
-    basis = np.linalg.qr(design)[0]
-    flat = features.reshape(count, -1).T
-    fitted = basis @ (basis.T @ flat)
-    terms, squares = len(powers) - 1, (_INDEPENDENT >> COST_BITS) ** 2
-    free = max(rows * columns / squares - terms - 1.0, 1.0)
-    left = np.square(flat - fitted).mean(axis=0) / free
-    ratio = fitted.var(axis=0) / terms / np.maximum(left, 1e-12)
+    basis, flat, fit = np.linalg.qr(design)[0], features.reshape(count, -1).T, seen.ravel()
+    if not fit.any():
+        return np.zeros_like(features)
+    some = basis[fit]
+    gram = some.T @ some + 1e-9 * np.eye(len(powers))
+    fitted = basis @ np.linalg.solve(gram, some.T @ flat[fit])
+    fitted = fitted.clip(fitted[fit].min(axis=0), fitted[fit].max(axis=0))
+    terms = len(powers) - 1
+    free = max(float(fit.sum()) / independent**2 - terms - 1.0, 1.0)
+    left = np.square(flat - fitted)[fit].mean(axis=0) / free
+    ratio = fitted[fit].var(axis=0) / terms / np.maximum(left, 1e-12)
     kept = (1.0 - _CHANCE / np.maximum(ratio, _CHANCE)) * fitted
     return np.asarray(kept.T.reshape(features.shape), np.float64)

@@ -331,6 +331,22 @@ def test_scratches_are_not_copied(shot: Photographed) -> None:
     assert lines[copies.source[0], copies.source[1]][copies.copied].mean() < 0.01
 
 
+def test_cloth_is_not_copied_to_where_it_is_combed_otherwise(shot: Photographed) -> None:
+    """Threads run down at the left, and across and stronger at the right, as under a near flash."""
+    rng, across = np.random.default_rng(6), np.linspace(0.0, 1.0, 512)
+    down, along = (
+        cv2.GaussianBlur(rng.standard_normal((384, 512)), (0, 0), x, sigmaY=y)
+        for x, y in ((1.2, 5.0), (5.0, 1.2))
+    )
+    log = 0.2 * (1.0 - across) * down / down.std() + 0.5 * across * along / along.std()
+    combed = _drawn(shot, log)
+    _, copies = _transported(combed, _hidden(combed), HOLE)
+    assert copies is not None
+    columns = np.indices(copies.copied.shape)[1]
+    away = np.abs(copies.source[1] - columns)[copies.copied]
+    assert np.quantile(away, 0.9) < 60
+
+
 def test_no_place_is_copied_twice(shot: Photographed) -> None:
     """With room for other places; the eye finds one next to itself."""
     drawn = _drawn(shot, _noise(shot))
