@@ -327,7 +327,7 @@ def _ordered(numbers: NDArray[np.float32]) -> NDArray[np.int64]:
 
 MOST_LEVELS = 5  # so that periods are multiples of 2^4 texels, as the decoder's
 COST_BITS = 2  # the grid of placement costs has a step of 2^COST_BITS texels
-_MARGIN = 3  # steps between places and the exemplar's border, for their neighbourhoods
+FRAME_MARGIN = 3  # steps between places and the exemplar's border, for their neighbourhoods
 _LEAST_STEPS = 8  # least width of the coarsest level's frame, in its steps
 
 
@@ -363,14 +363,14 @@ class Frame:
 
 def frame_of(level: int, part: Frame) -> Frame:
     """The frame of a level's places, for the part of an exemplar that may be shown."""
-    margin = _MARGIN << level
+    margin = FRAME_MARGIN << level
     return Frame(part.left + margin, part.top + margin, part.right - margin, part.bottom - margin)
 
 
 def level_count(width: int, height: int) -> int:
     """Number of levels for an exemplar of this size; 0 if it is too small."""
     count = 0
-    while count < MOST_LEVELS and min(width, height) >= (_LEAST_STEPS + 2 * _MARGIN) << count:
+    while count < MOST_LEVELS and min(width, height) >= (_LEAST_STEPS + 2 * FRAME_MARGIN) << count:
         count += 1
     return count
 

@@ -264,11 +264,23 @@ def repeated(
         if ordered_cost <= _DISORDERED * cost:
             level, (across, down) = straight, ordered
     straight, along, below = sheared(level, across, down)
-    seen = _seen(straight, texel_size)
-    x, y = _places(seen, along, below)
-    tile, cut = joined(straight, x, y), is_cut(x, y)
+    tile, cut = cut_and_joined(straight, texel_size, along, below)
     begins = _usual_line(tile, 1), _usual_line(tile, 2)
     return Repeated(np.roll(tile, begins, (1, 2)), np.roll(cut, begins, (0, 1)))
+
+
+def cut_and_joined(
+    straight: Floats, texel_size: float, along: int, below: int
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """(6 or 8, below, along) seamless maps, and (below, along) where their seams are.
+
+    Args:
+        straight: stacked maps whose shifts are along the axes.
+        texel_size: in plane units.
+        along, below: lengths of the shifts, texels.
+    """
+    x, y = _places(_seen(straight, texel_size), along, below)
+    return joined(straight, x, y), is_cut(x, y)
 
 
 def _shifts(seen: Planes, waves: tuple[Frequency, ...]) -> tuple[Shift, Shift, float]:

@@ -140,10 +140,10 @@ def best_shift(
         slant: dy / dx of a shift that does not count as slanted.
         slack: largest difference from that slant, without a lattice.
     """
-    scale = 1 << max(0, math.ceil(math.log2(max(planes.shape[1:]) / _SEARCH)))
+    scale = _scale(planes)
     small = _shrunk(planes, scale)
     width = planes.shape[2]
-    table = _differences(small, slant, slack)
+    table = _differences(small, slant, slack, _LEAST)
     straight = list(_ordered(table, scale, width, waves)) if waves else []
     others = []
     if not straight:
@@ -163,6 +163,23 @@ def best_shift(
 
     best = min(rated, key=score)
     return best if waves else RatedShift(_refined(planes, best.shift, scale), best.cost)
+
+
+def likest_shift(planes: Planes, least: float) -> Shift:
+    """The shift, about along x, after which planes differ least.
+
+    Args:
+        planes: (C, H, W) to compare, in standard deviations.
+        least: share of the width that it has at least.
+    """
+    scale = _scale(planes)
+    table = _differences(_shrunk(planes, scale), 0.0, _MOST_TURN, least)
+    return _refined(planes, min(_any(table, scale), key=lambda one: one.difference).shift, scale)
+
+
+def _scale(planes: Planes) -> int:
+    """Texels that are averaged for the search for shifts."""
+    return 1 << max(0, math.ceil(math.log2(max(planes.shape[1:]) / _SEARCH)))
 
 
 def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> list[_Candidate]:
@@ -186,10 +203,10 @@ class _Table:
     top: int
 
 
-def _differences(planes: Planes, slant: float, slack: float) -> _Table:
+def _differences(planes: Planes, slant: float, slack: float, least: float) -> _Table:
     """Differences for all allowed shifts, by FFT."""
     _, high, wide = planes.shape
-    first, last = math.ceil(_LEAST * wide), math.floor(_MOST * wide)
+    first, last = math.ceil(least * wide), math.floor(_MOST * wide)
     sides = (2 * high, 2 * wide)
     waves = np.fft.rfft2(planes.astype(np.float64), s=sides)
     squares = np.fft.rfft2(np.square(planes, dtype=np.float64).sum(axis=0), s=sides)
@@ -350,18 +367,21 @@ def sources(
     return from_x, from_y
 
 
-def sheared(maps: Floats, across: Shift, down: Shift) -> tuple[Floats, int, int]:
+def sheared(maps: Floats, across: Shift, down: Shift, multiple: int = 1) -> tuple[Floats, int, int]:
     """Maps resampled so that two shifts are along the axes, and the shifts' lengths.
 
     Args:
         maps: (C, H, W).
         across: shift (x, y) that becomes horizontal.
         down: shift (x, y) that becomes vertical.
+        multiple: of texels, that lengths become.
 
     Returns:
         Maps; length of `across`; length of `down`, in whole texels.
     """
-    along, below = round(math.hypot(*across)), round(math.hypot(*down))
+    along, below = (
+        multiple * max(1, round(math.hypot(*shift) / multiple)) for shift in (across, down)
+    )
     matrix = np.array([[across[0] / along, down[0] / below], [across[1] / along, down[1] / below]])
     if np.abs(matrix - np.eye(2)).max() * max(along, below) < _BENT:
         return maps, along, below

@@ -7,7 +7,6 @@ at long shifts, and the share of texels at seams. Where none is within both, the
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -18,6 +17,7 @@ from matcap.example.candidates import PatchSizes, features_of, grid_bits, grids_
 from matcap.example.coordinates import coordinates
 from matcap.example.example import Example, coarsened, detail_bits
 from matcap.example.index import Lookup
+from matcap.example.plaid import detrended, is_plaid, repeating_plaid
 from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.
@@ -32,12 +32,6 @@ _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if th
 # Largest share of texels at seams. Textures without long structure have up to 0.0175, others
 # from 0.021 on.
 _SEAMS = 0.018
-_BLOCKS_ACROSS = 64  # of a plaid, across the longer side
-# Least share of log albedo's variance that bands of a plaid have in either direction (three of 126
-# photographs 0.16 to 0.24, other weaves at most 0.12, a cloth of uneven threads 0.00), and its
-# least standard deviation (plaids 0.20, paint 0.05).
-_BANDS, _VISIBLE = 0.14, 0.1
-_DARKEST = 1e-3  # albedo, lower limit of its logarithm
 _MORE_SEAMS = 1.1  # largest share of seams over the least of all varieties, if that is more
 
 Planes = NDArray[np.float32]
@@ -62,10 +56,10 @@ def with_chosen_variety(example: Example) -> Example:
 
     If there is none, the limits are the least loss of all and about the least seams; with a lattice
     the lowest variety is taken, as its seams do not follow the patches' size. A plaid repeats
-    whole: of its bands no smaller patch shows where they go on.
+    (plaid.py): of its bands no smaller patch shows where they go on.
     """
     if is_plaid(example):
-        return example.varied(0.0)
+        return repeating_plaid(example)
     long, trials = variety_trials(example)
     limit, tried = max(_LOST, _SHARE * long), []
     for one in trials:
@@ -80,35 +74,13 @@ def with_chosen_variety(example: Example) -> Example:
     return example.varied(next(within, LOWEST_VARIETY))
 
 
-def is_plaid(example: Example) -> bool:
-    """Whether much of the albedo is bands across the whole exemplar, in both directions.
-
-    Log albedo of blocks is a(x) + b(y) + rest; the covariance of neighbouring blocks of a, and that
-    of b, is at least _BANDS of its variance: single threads are narrower. A lattice of cells as
-    large as blocks (gingham, tiles) is kept in phase instead.
-    """
-    albedo, lattice = example.exemplar.diffuse, example.index.lattice
-    waves = () if lattice is None else lattice.waves
-    side = max(2, max(albedo.shape) // _BLOCKS_ACROSS)
-    rows, columns = (n // side for n in albedo.shape[1:])
-    cell = max((2 ** detail_bits(example.exemplar) / math.hypot(*w) for w in waves), default=0.0)
-    if min(rows, columns) < 8 or cell > 2 * side:
-        return False
-    log = np.log(np.maximum(albedo[:, : rows * side, : columns * side], _DARKEST))
-    means = log.reshape(len(log), rows, side, columns, side).mean(axis=(2, 4))
-    means = _detrended(means.astype(np.float32))
-    whole = float(np.square(means).mean())
-    bands = [float((band[:, 1:] * band[:, :-1]).mean()) for band in (means.mean(1), means.mean(2))]
-    return whole > _VISIBLE**2 and min(bands) > _BANDS * whole
-
-
 def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:
     """The exemplar's RMS correlation at long shifts, and measures of varieties, highest first."""
     exemplar, index = example.exemplar, example.index
     coarse = coarsened(exemplar, detail_bits(exemplar))
     level = min(_LEVEL, len(index.bases) - 1)
     features = features_of(planes_of(coarse), index.scale)
-    planes = _detrended(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
+    planes = detrended(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
     lookup, spacing = example.lookup.of_rule_2(), 1 << level
     bits = grid_bits(level)
     own = _thinned(planes[:, :: spacing >> bits, :: spacing >> bits], spacing)
@@ -168,17 +140,6 @@ def _varied(lookup: Lookup, variety: float) -> Lookup:
     coarsest = lookup.levels[-1]
     sizes = PatchSizes.of(coarsest.frame, coarsest.spacing, lookup.lattice, variety)
     return lookup.sized(sizes)
-
-
-def _detrended(planes: Planes) -> Planes:
-    """Planes less their least-squares quadratic, which is an error of the light's fit."""
-    rows, columns = planes.shape[1:]
-    y, x = np.mgrid[-0.5 : 0.5 : rows * 1j, -0.5 : 0.5 : columns * 1j]
-    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y]).reshape(6, -1).T
-    basis = np.linalg.qr(design)[0].astype(np.float32)
-    flat = planes.reshape(len(planes), -1)
-    detrended = (flat - (flat @ basis) @ basis.T).astype(np.float32)
-    return np.asarray(detrended.reshape(planes.shape), np.float32)
 
 
 def _thinned(planes: Planes, spacing: int) -> Planes:

@@ -362,6 +362,31 @@ def test_a_plaid_repeats_whole_and_boards_do_not(waves):
     assert with_chosen_variety(Example.of(plaid(), waves)).variety == 0.0 and not is_plaid(boards())
 
 
+def test_a_slanted_plaid_repeats_where_its_bands_do_without_a_drift():
+    """Bands of four tones every 200 and 152 texels, slanted by 2 %, brighter towards one corner."""
+    y, x = np.mgrid[0:384, 0:512].astype(np.float32)
+    tones = np.array([0.0, 0.5, 0.2, -0.6])
+
+    def bands(at, repeat):
+        return tones[(at % repeat // (repeat / 4)).astype(int)]
+
+    log = bands(x + 0.02 * y, 200.0) + bands(y - 0.02 * x, 152.0) - 1.5
+    log += 0.05 * np.random.default_rng(2).standard_normal(log.shape)
+    drifting = log + 0.3 * x / 512 - 0.2 * y / 384
+    diffuse = np.exp(drifting)[None].repeat(3, axis=0).clip(0.0, 1.0).astype(np.float32)
+    example = with_chosen_variety(Example.of(replace(stripes(), diffuse=diffuse)))
+    wide, high = example.lookup.joined.size
+    for side, repeat in ((wide, 200), (high, 152)):
+        assert abs(side - round(side / repeat) * repeat) <= 0.5 * example.alignment
+    field = np.log(example.maps(0, Rectangle(0, 0, 2 * wide, 2 * high), None)[0])
+    assert np.abs(field[:high] - field[high:]).max() < 0.05
+    assert np.abs(field[:, :wide] - field[:, wide:]).max() < 0.05
+    for axis in (0, 1):
+        lines = field.mean(axis=axis)
+        off = np.abs(lines[:, None] - lines.mean() - (tones - tones.mean())).min(axis=1)
+        assert np.quantile(off, 0.9) < 0.06  # of 0.2 and more between tones, the drift's 0.3
+
+
 def test_a_cloth_of_uneven_threads_is_no_plaid():
     draws = np.random.default_rng(3)
     across, down = (1.0 + 0.3 * draws.standard_normal(n).repeat(8) for n in (64, 48))

@@ -98,6 +98,20 @@ def test_contrast_of_albedo_without_relief_may_have_a_trend():
     assert trend_penalty(planes_of(flat), known).max() == 0.0
 
 
+def test_creases_in_a_few_places_are_no_trend():
+    """A polynomial has much of their variance, but predicts none of it from the squares around."""
+    piece = even()
+    random, (y, x) = np.random.default_rng(5), np.mgrid[0 : SIDES[1], 0 : SIDES[0]]
+    steep = np.zeros((SIDES[1], SIDES[0]))
+    for at_x, at_y in ((70, 60), (150, 300), (300, 130), (440, 330)):
+        steep += 6.0 * np.exp(-0.5 * ((x - at_x) ** 2 + (y - at_y) ** 2) / 45.0**2)
+    relief = piece.height[0] * (1.0 + steep * waves(random, *SIDES, "x").clip(0.0))
+    creased = replace(piece, height=relief[None].astype(np.float32))
+    known = np.ones(squares(piece), bool)
+    assert (trend_penalty(planes_of(creased), known) > 0.0).mean() < 0.1
+    assert (trend_penalty(planes_of(combed()), known) > 0.0).mean() > 0.3
+
+
 def test_a_side_with_marks_of_its_own_is_shown_as_often():
     # The left has scratches, which is no trend that exceeds what the rest of the variation does.
     piece = even()

@@ -25,7 +25,9 @@ from matcap.brdf.cook_torrance import Reflectance
 from matcap.brdf.maps import DIFFUSE, HEIGHT, ROUGHNESS, SPECULAR
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.rectified import Observation, PhotographLight
+from matcap.example.candidates import planes_of
 from matcap.example.exemplar import Exemplar
+from matcap.example.placement import texture_trend
 from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
@@ -53,6 +55,9 @@ _WANTED_SHARE = 0.25  # least hidden share of a block that is replaced
 _REUSED = 0.3
 # Weight of the mismatch with the photograph against the overlap's mismatch.
 _PHOTOGRAPH_WEIGHT = 0.7
+# Weight of the mean squared departure of a donor from its place by a trend of texture, visible
+# changes; squares that the trend is measured in, texels.
+_UNLIKE, _SQUARE = 0.2, 16
 # A place keeps its maps if its energy of log radiance is above _MOST_ENERGY times the candidates'
 # median, a share above _VISIBLE_SHARE is visible, and its maps render _OWN_ENERGY of it: a scratch,
 # or bare metal that only the highlight shows. Maps with too flat relief do not: in a highlight
@@ -175,7 +180,8 @@ def transport(
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
-    chosen = _choose(places, donors, planes, ~hidden, photograph)
+    trend = _trend(exemplar, ~hidden)
+    chosen = _choose(places, donors, planes, ~hidden, photograph, trend)
     source, copied = _sources(chosen, hidden)
     slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
@@ -287,6 +293,7 @@ def _choose(
     planes: _MapPlanes,
     known: TexelMask,
     photograph: _Photograph,
+    trend: Floats,
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
@@ -302,6 +309,7 @@ def _choose(
         here = _block(place)
         mismatch = _discontinuity(place, blocks, planes.features, seen, known)
         mismatch += _REUSED * _shown_before(blocks, ~known[here], copied)
+        mismatch += _UNLIKE * _departure(trend, place, blocks)
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
         blocks, mismatch = blocks[nearest], mismatch[nearest]
@@ -315,6 +323,26 @@ def _choose(
         seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
         known[here] = True
     return chosen
+
+
+def _trend(exemplar: Exemplar, visible: TexelMask) -> Floats:
+    """(6, rows, columns) trend of texture in squares of _SQUARE texels (texture_trend).
+
+    Relief is combed along the flash, and shown the more the farther from it: where a donor departs
+    from its place by that, it is a patch of another cloth.
+    """
+    rows, columns = (-(-side // _SQUARE) for side in visible.shape)
+    seen = cv2.resize(visible.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    # Local averages near what is hidden have some of it.
+    whole = cv2.erode((seen > 1.0 - 1e-3).astype(np.uint8), np.ones((3, 3)), borderValue=1) > 0
+    return np.asarray(texture_trend(planes_of(exemplar), np.asarray(whole)), np.float32)
+
+
+def _departure(trend: Floats, place: tuple[int, int], blocks: BlockPlaces) -> Floats:
+    """(N,) mean squared departure of blocks from a place by a trend."""
+    y, x = ((np.array(place) + _BLOCK // 2) // _SQUARE).tolist()
+    rows, columns = ((blocks + _BLOCK // 2) // _SQUARE).T
+    return np.asarray(np.square(trend[:, rows, columns] - trend[:, y, x, None]).mean(0), np.float32)
 
 
 def _shown_before(blocks: BlockPlaces, new: TexelMask, copied: TexelMask) -> Floats:
