@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from filelock import FileLock, Timeout
 
-from matcap.batch.samples import WORKSPACE, BatchSettings, ShotSample, identity
+from matcap.batch.samples import WORKSPACE, BatchSettings, Policy, ShotSample, identity
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.report import refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
@@ -238,22 +238,6 @@ def forget_failure(out: Path, name: str) -> None:
 # The state of each sample of a batch (to do, done, failed), read from the output files.
 
 EntryState = Literal["todo", "made", "kept", "failed", "left"]
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Which samples are captured again, and what counts as failure."""
-
-    force: bool = False
-    """Make materials again that are done."""
-    retry_failed: bool = False
-    """Try samples again that failed."""
-    fail_fast: bool = False
-    """End at the first failure."""
-    strict: bool = False
-    """Doubtful and failed verdicts count as failures in the exit code."""
-    overwrite: bool = False
-    """Replace captures of a longer preset."""
 
 
 @dataclass

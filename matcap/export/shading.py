@@ -288,7 +288,8 @@ class Residual:
     """Mean over all texels for the pair of view and light with the largest residual."""
 
     def __str__(self) -> str:
-        return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"
+        mean, worst = 100.0 * self.mean, 100.0 * self.worst
+        return f"{mean:.2f} % of the light on average, {worst:.2f} % at worst"
 
 
 def thinning(width: int, height: int, texels: int = _TEXELS) -> int:

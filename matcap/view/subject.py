@@ -74,7 +74,7 @@ class Materials:
 
     def __init__(self, first: Material, second: Material | None = None, seed: int = 0) -> None:
         self.first, self.second, self.seed = first, second, seed
-        self.at = lru_cache(_FIELDS)(self._blend)
+        self._blended = lru_cache(_FIELDS)(self._blend)
         self._averages = lru_cache(_FIELDS)(self._averages_at)
         self._field = lru_cache(_FIELDS)(self._open)
         self._field(seed, 0.0)  # to raise errors here
@@ -88,12 +88,15 @@ class Materials:
             self.first.generator.piece_size, known_scale(self.first.provenance) or 0.0,
         )  # fmt: skip
 
-    def _blend(self, share: float) -> Material:
+    def at(self, share: float) -> Material:
         """The blend of both materials at a share of the second.
 
         Raises:
             UsageError: there is no second material.
         """
+        return self._blended(share)
+
+    def _blend(self, share: float) -> Material:
         if self.second is not None:
             from matcap.space.between import blend  # loads the decoder's rooms, and torch
 
