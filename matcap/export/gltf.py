@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from matcap.export.job import Container, Depth, ExportJob, MapRows, Picture, rgb
+from matcap.export.job import ExportJob, MapRows, Picture, rgb
+from matcap.export.options import Container, Depth
 from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
 from matcap.export.shading import GLTF, MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,21 +16,10 @@ from torch import Tensor
 from matcap.brdf.maps import COLOURED, MapSet, normals_of_rows
 from matcap.errors import MatcapError, UsageError
 from matcap.export.occlusion import Occlusion, occlusion
-from matcap.export.options import ExportOptions
+from matcap.export.options import Container, ExportOptions
 from matcap.field.material import Material
 
-# Pixel types in memory and file formats of textures.
-
-Depth = Literal["8", "16", "half", "float"]
-Container = Literal["png", "jpg", "exr"]
 Picture = NDArray[np.float32]
-
-CONTAINERS: dict[Container, tuple[Depth, ...]] = {
-    "png": ("8", "16"),
-    "jpg": ("8",),
-    "exr": ("half", "float"),
-}
-NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
 # Rows processed together: with 4096 columns the working set fits the cache.
 _BAND_ROWS = 64
 
@@ -51,7 +40,7 @@ def mean_channel(values: Picture) -> Picture:
 
 
 def bands(height: int) -> list[slice]:
-    """Slices of _ROWS rows that cover a picture."""
+    """Slices of _BAND_ROWS rows that cover a picture."""
     return [slice(top, min(top + _BAND_ROWS, height)) for top in range(0, height, _BAND_ROWS)]
 
 

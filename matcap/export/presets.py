@@ -18,16 +18,8 @@ from torch import Tensor
 
 from matcap.export import textures as tex
 from matcap.export import workflows
-from matcap.export.job import (
-    Depth,
-    ExportJob,
-    MapRows,
-    NormalMaps,
-    Picture,
-    brightest_channel,
-    mean_channel,
-    rgb,
-)
+from matcap.export.job import ExportJob, MapRows, Picture, brightest_channel, mean_channel, rgb
+from matcap.export.options import Depth, NormalMaps, Workflow
 from matcap.export.shading import (
     GLTF,
     MATCAP,
@@ -91,7 +83,7 @@ class EngineModel:
 
     shading: TargetShading
     """The engine's shading model."""
-    workflow: tex.Workflow
+    workflow: Workflow
     """Parametrisation of the textures."""
     dielectric: tuple[float, float] = (0.0, 1.0)
     """Metallic workflow: (lowest, highest) F0 of dielectrics."""
@@ -437,11 +429,11 @@ _IMPORT = "run T_*_import.py in Unreal to import them with the right settings"
 _NORMAL = "set the Texture Type of Normal_GL to Normal map"
 
 # The workflow that every project can render, even where another has a smaller residual.
-PLAIN: dict[str, tex.Workflow] = {"unreal": "metallic"}
+PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
 
 # Textures by name: {map} of the file name, and content and depth (CONTENT) where they are
 # not those of the texture's name and 8 bits.
-PRESETS: dict[str, Mapping[tex.Workflow | None, Preset]] = {
+PRESETS: dict[str, Mapping[Workflow | None, Preset]] = {
     "polyhaven": {
         None: Preset(
             "{stem}_{map}_{res}",

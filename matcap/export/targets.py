@@ -45,14 +45,14 @@ from typing import Any
 from matcap.brdf.edited import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.gltf import gltf_metallic, gltf_specular
-from matcap.export.job import Container, ExportJob, NormalMaps, known_scale, material_reach
+from matcap.export.job import ExportJob, known_scale, material_reach
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
-from matcap.export.options import ExportOptions
+from matcap.export.options import Container, ExportOptions, NormalMaps, Workflow
 from matcap.export.presets import PLAIN, PRESETS, pack
 from matcap.export.shading import Residual, residuals
 from matcap.export.texture_file import WRITERS
-from matcap.export.textures import Export, Workflow
+from matcap.export.textures import Export
 from matcap.export.usd import usd_metallic, usd_specular
 from matcap.field.opened import OpenedMaps, open_tile
 from matcap.files.names import MAKER_VERSION, plain_name, sanitised_name

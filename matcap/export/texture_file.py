@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.export.job import CONTAINERS, Container, Depth, ExportJob, MapRows, Picture, bands
+from matcap.export.job import ExportJob, MapRows, Picture, bands
+from matcap.export.options import CONTAINERS, Container, Depth
 from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.pixels import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue

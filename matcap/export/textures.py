@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -15,8 +15,6 @@ from matcap.export.job import ExportJob, MapRows, Picture
 from matcap.export.occlusion import settings
 from matcap.export.shading import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import TextureFile
-
-Workflow = Literal["metallic", "specular"]
 
 # Meanings of textures' values, for sidecars.
 DIFFUSE = "diffuse albedo, Rec.709"
