@@ -265,7 +265,6 @@ class Prepared:
     out: Path
     """The output folder."""
     settings: BatchSettings
-    """Settings of the batch."""
     entries: Sequence[work.BatchEntry]
     """All samples with their states."""
     worker_bytes: int

@@ -314,13 +314,10 @@ class BatchJob:
     """One sample to capture."""
 
     name: str
-    """Name of the material."""
     photos: tuple[Path, ...]
-    """Photographs of the sample."""
     identity: str
     """Hash of the inputs, for the record."""
     settings: BatchSettings
-    """Settings of the batch."""
     out: Path
     """The output folder of the batch."""
     detail: int

@@ -249,7 +249,6 @@ class TargetSurface:
     layer: float | Tensor | None = None
     """F0 of the layer that darkens the diffuse part, a number or a tensor like f0."""
     shading: TargetShading = MATCAP
-    """Shading model."""
     metal: Tensor | None = None
     """(1 or 3, H, W) F0 of the metallic part, where that is a lobe of its own."""
     share: Tensor | None = None

@@ -107,7 +107,6 @@ class PhotographedAs:
     """Camera, flash and size of a material's photograph."""
 
     setup: FlashSetup
-    """Camera and flash."""
     size: tuple[int, int] | None
     """(width, height) in texels of the exemplar if it covers exactly the photograph, else None."""
     endless: bool

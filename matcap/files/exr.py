@@ -165,7 +165,6 @@ class RadianceHeader:
     length: int
     """Length of the header in bytes."""
     scanlines: int
-    """Number of scanlines."""
     texels: int
     """Number of texels in a scanline."""
     columns: bool
@@ -287,7 +286,6 @@ class NamedChannels:
     pixels: NDArray[np.float32]
     """(H, W, C) values of the channels."""
     names: tuple[str, ...]
-    """Names of the channels."""
     primaries: tuple[float, ...] | None
     """Chromaticities x, y of red, green, blue and white, or None."""
 

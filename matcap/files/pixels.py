@@ -125,7 +125,6 @@ class Pixels:
     """Stored values of a picture."""
 
     path: Path
-    """Path of the file."""
     stored: NDArray[Any]
     """(H, W, C) uint8, uint16 or float32."""
     roles: Mapping[str, int]

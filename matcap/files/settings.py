@@ -190,7 +190,6 @@ class Setting:
     """A setting: a field of a dataclass, with its constraints."""
 
     field: str
-    """Name of the field."""
     name: str
     """Name that users type, with underscores."""
     kind: type

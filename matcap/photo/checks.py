@@ -96,7 +96,6 @@ class QualityCheck:
 
     key: str
     measures: str
-    """Name of the measurement."""
     unit: str
     limits: tuple[float, ...]
     """Values at severity 1, 2 and 3; decreasing where less is worse. A check of a set has one, the
@@ -170,9 +169,7 @@ class Cause:
     """A cause of a poor capture that the photograph shows, by a measurement of its own."""
 
     name: str
-    """Name in the report."""
     measures: str
-    """Name of the measurement."""
     none: float
     """Its value without this cause."""
     limit: float

@@ -174,7 +174,6 @@ class PlannedMapSet:
     """Names of the EXR files by map."""
     normal: NormalStyle
     preview: Preview | None
-    """Preview to write, or None."""
 
     def shows(self, part: BlockPart) -> bool:
         """Whether the preview shows some of a part."""

@@ -87,7 +87,6 @@ class WorkerPool:
     """Running workers."""
 
     submit: Submit
-    """Submits a job."""
     ahead: int
     """Most jobs in flight."""
 

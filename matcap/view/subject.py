@@ -361,7 +361,6 @@ class EncodedPicture:
     """An encoded image for the browser."""
 
     data: bytes
-    """Bytes of the file."""
     kind: str
     """Media type."""
 

@@ -203,7 +203,6 @@ class Foreign:
     """A map set read for relighting."""
 
     texture: Texture
-    """The material."""
     notes: tuple[str, ...]
     """What was guessed or not used, a sentence each."""
     files: Mapping[str, str]
