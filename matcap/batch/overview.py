@@ -115,7 +115,7 @@ def _row(row: dict[str, Any], pictures: dict[str, str]) -> str:
         _cell("Pictures", None, f"<div>{_figures(row['name'], pictures)}</div>", " class=pictures"),
         _cell("Verdict", row["severity"] if row["verdict"] else "", _verdict(row)),
         _number("Tilt", tilt, "{:.1f}°".format),
-        _number("Clipped", row["clipped"], "{:.1%}".format),
+        _number("Clipped", row["clipped"], lambda share: f"{100.0 * share:.1f} %"),
         _number("Time", row["seconds"], spoken_duration),
         _cell("Remarks", len(remarks), f"<ul>{listed}</ul>"),
     )

@@ -17,7 +17,14 @@ from typing import Any, Literal, Protocol, cast
 
 from matcap.batch import work
 from matcap.batch.overview import write_index
-from matcap.batch.samples import BatchSettings, Grouping, ShotSample, find_samples, prior_hash
+from matcap.batch.samples import (
+    BatchSettings,
+    Grouping,
+    Policy,
+    ShotSample,
+    find_samples,
+    prior_hash,
+)
 from matcap.capture.settings import resolve
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import OnProgress, Progress, ignore_progress
@@ -258,7 +265,6 @@ class Prepared:
     out: Path
     """The output folder."""
     settings: BatchSettings
-    """Settings of the batch."""
     entries: Sequence[work.BatchEntry]
     """All samples with their states."""
     worker_bytes: int
@@ -282,7 +288,7 @@ class Batch:
     """
 
     def __init__(
-        self, prepared: Prepared, workers: BatchWorkers, policy: work.Policy, show: Show
+        self, prepared: Prepared, workers: BatchWorkers, policy: Policy, show: Show
     ) -> None:
         self._prepared, self._out, self._workers = prepared, prepared.out, workers
         self._policy, self._show = policy, show
@@ -445,7 +451,7 @@ _SETS_SAID = 12  # most groups of photographs that are listed before a batch sta
 
 
 def prepare(
-    source: Path, out: Path, settings: BatchSettings, policy: work.Policy, show: Show
+    source: Path, out: Path, settings: BatchSettings, policy: Policy, show: Show
 ) -> Prepared:
     """List the samples of the folder `source` and determine their states; writes nothing.
 
@@ -504,7 +510,7 @@ def _cards(source: Path, wanted: str, out: Path) -> list[Path]:
 
 
 def work_off(
-    prepared: Prepared, policy: work.Policy, show: Show, scheduler: str | None = None
+    prepared: Prepared, policy: Policy, show: Show, scheduler: str | None = None
 ) -> ExitCode:
     """Capture all samples to do, and write the index.
 

@@ -303,6 +303,22 @@ class BatchSettings(CheckedSettings):
         return {names.get(name, name): value for name, value in values.items()}
 
 
+@dataclass(frozen=True)
+class Policy(CheckedSettings):
+    """Which samples are captured again, and what counts as failure; of a run, not of a folder."""
+
+    force: bool = setting(False, off=None, group="Advanced")
+    """Capture again what is already captured."""
+    retry_failed: bool = setting(False, off=None, group="Advanced")
+    """Capture again what failed before."""
+    fail_fast: bool = setting(False, off=None, group="Advanced")
+    """End at the first failure."""
+    overwrite: bool = setting(False, off=None)
+    """Replace existing outputs."""
+    strict: bool = setting(False, off=None, group="Output")
+    """Count doubtful and failed verdicts as failures: exit code 3 or 4."""
+
+
 # By name in options and matcap.toml.
 SETTINGS: Mapping[str, Setting] = {
     one.name: one

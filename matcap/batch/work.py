@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from filelock import FileLock, Timeout
 
-from matcap.batch.samples import WORKSPACE, BatchSettings, ShotSample, identity
+from matcap.batch.samples import WORKSPACE, BatchSettings, Policy, ShotSample, identity
 from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.report import refuse_to_replace_longer_capture
 from matcap.errors import MatcapError
@@ -240,22 +240,6 @@ def forget_failure(out: Path, name: str) -> None:
 EntryState = Literal["todo", "made", "kept", "failed", "left"]
 
 
-@dataclass(frozen=True)
-class Policy:
-    """Which samples are captured again, and what counts as failure."""
-
-    force: bool = False
-    """Make materials again that are done."""
-    retry_failed: bool = False
-    """Try samples again that failed."""
-    fail_fast: bool = False
-    """End at the first failure."""
-    strict: bool = False
-    """Doubtful and failed verdicts count as failures in the exit code."""
-    overwrite: bool = False
-    """Replace captures of a longer preset."""
-
-
 @dataclass
 class BatchEntry:
     """A sample and its state, which the batch updates."""
@@ -330,13 +314,10 @@ class BatchJob:
     """One sample to capture."""
 
     name: str
-    """Name of the material."""
     photos: tuple[Path, ...]
-    """Photographs of the sample."""
     identity: str
     """Hash of the inputs, for the record."""
     settings: BatchSettings
-    """Settings of the batch."""
     out: Path
     """The output folder of the batch."""
     detail: int

@@ -134,7 +134,8 @@ def note_other_normals(maps: MapSet, document: dict[str, Any], folder: Path) -> 
         return
     share = _differing(without_alpha(stored), maps, down=document.get("normal") == "dx")
     if share > _SHARE:
-        note(f"{folder / name}: differs from the height at {share:.1%} of its texels; {_ANSWER}")
+        differs = f"differs from the height at {100.0 * share:.1f} % of its texels"
+        note(f"{folder / name}: {differs}; {_ANSWER}")
 
 
 def painted_normals(document: dict[str, Any], folder: Path, size: tuple[int, int]) -> Tensor:

@@ -113,15 +113,16 @@ def checked(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
         if profile is not None and not spot.rating.fit:  # of a matte sample it does not say much
             inspected = inspected.with_finding(replace(spot, rating=Rating.USABLE, severity=_CORE))
         return inspected.with_finding(CHECKS["highlight"].finding(math.nan))
-    more = f", or more: {profile.clipped[0]:.0%} of it is clipped" if profile.bound else ""
+    clipped = 100.0 * profile.clipped[0]
+    more = f", or more: {clipped:.0f} % of it is clipped" if profile.bound else ""
     if profile.glints:
         variation = math.expm1(math.hypot(*(before for before, _ in profile.glints)))
-        more += f"; its glints vary by {variation:.0%}"
+        more += f"; its glints vary by {100.0 * variation:.0f} %"
     inspected = inspected.with_finding(CHECKS["highlight"].finding(profile.contrast[0], more=more))
     if profile.clipped[0] <= _MOSTLY:
         return inspected
     # What limits a capture limits the photograph.
-    whole, says = inspected["clipped"], f", and {profile.clipped[0]:.0%} of its highlight"
+    whole, says = inspected["clipped"], f", and {clipped:.0f} % of its highlight"
     return inspected.with_finding(
         replace(
             whole,
@@ -282,7 +283,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     alone = float((seen < 2).mean())
     check = CHECKS["overlap"]
     rating = Rating.GOOD if alone <= check.limits[0] else Rating.DOUBTFUL
-    return check.rated(round(alone, 3), rating, shared=1.0 - alone)
+    return check.rated(round(alone, 3), rating, shared=100.0 * (1.0 - alone))
 
 
 def _union(views: Sequence[RegisteredView]) -> Finding:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from matcap.batch.samples import BatchSettings
+from matcap.batch.samples import BatchSettings, Policy
 from matcap.capture.settings import (
     CaptureSettings,
     OutputSettings,
@@ -222,24 +222,7 @@ def batch(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only print the plan, its time and its disk space.")
     ] = False,
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force", help="Capture again what is already captured.", rich_help_panel=ADVANCED
-        ),
-    ] = False,
-    retry_failed: Annotated[
-        bool,
-        typer.Option(
-            "--retry-failed", help="Capture again what failed before.", rich_help_panel=ADVANCED
-        ),
-    ] = False,
-    fail_fast: Annotated[
-        bool,
-        typer.Option("--fail-fast", help="End at the first failure.", rich_help_panel=ADVANCED),
-    ] = False,
-    overwrite: OverwriteOption = False,
-    strict: StrictOption = False,
+    chosen_policy: Annotated[Given, Fields(Policy)] = NOTHING,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -248,31 +231,25 @@ def batch(
     Settings come from matcap.toml in or next to the folder; options override it. The results are
     listed in index.html in the output folder.
     """
-    from matcap.batch.run import prepare, work_off
+    from matcap.batch.run import predict, prepare, work_off
     from matcap.batch.samples import settings_of
-    from matcap.batch.work import Policy
     from matcap.cli.display import BatchDisplay
 
     settings = settings_of(source, given)
     if settings.capture.time_limit is not None:
         within_time(settings.capture, 1, slowness())  # refuses what no capture can keep
-    policy = Policy(force, retry_failed, fail_fast, strict, overwrite)
+    policy = chosen(Policy, chosen_policy)
     with BatchDisplay.open(quiet=quiet) as shown:
         if scheduler:  # workers have other current folders
             source, out = source.resolve(), out.resolve()
         prepared = prepare(source, out, settings, policy, shown)
-        if dry_run:
-            from matcap.batch.run import predict
-
-            prediction = predict(prepared)
-        else:
-            try:
-                code = work_off(prepared, policy, shown, scheduler)
-            except KeyboardInterrupt:
-                code = ExitCode.INTERRUPTED
+        try:
+            code = ExitCode.DONE if dry_run else work_off(prepared, policy, shown, scheduler)
+        except KeyboardInterrupt:
+            code = ExitCode.INTERRUPTED
     if dry_run:
-        _print_prediction(prepared.entries, prediction, as_json=as_json)
-        raise typer.Exit(ExitCode.DONE)
+        _print_prediction(prepared.entries, predict(prepared), as_json=as_json)
+        raise typer.Exit(code)
     _print_results(prepared.entries, out, as_json=as_json, quiet=quiet)
     if code == ExitCode.INTERRUPTED and all(e.state != "left" for e in prepared.entries):
         typer.echo("matcap: interrupted after the last sample was finished.", err=True)

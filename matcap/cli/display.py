@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from threading import Timer
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -40,7 +40,7 @@ class _Shown:
     """A display on a console.
 
     Args:
-        bars: the live display, or None to print lines.
+        bars: the live display; lines are printed where it is disabled.
         quiet: print only failures.
     """
 
@@ -51,18 +51,18 @@ class _Shown:
     transient: ClassVar[bool] = False
     """Whether the live display goes at the end."""
 
-    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+    def __init__(self, console: Console, bars: Progress, *, quiet: bool) -> None:
         self._console, self._bars, self._quiet = console, bars, quiet
+        self._prints = bars.disable and not quiet
 
     @classmethod
     @contextmanager
     def open(cls, *, quiet: bool) -> Iterator[Self]:
         """A display on stderr while the block runs."""
         console = Console(stderr=True)
-        if quiet or not console.is_terminal or console.is_dumb_terminal:
-            yield cls(console, None, quiet=quiet)
-            return
-        with Progress(*cls.columns, console=console, transient=cls.transient) as bars:
+        off = quiet or not console.is_terminal or console.is_dumb_terminal
+        bars = Progress(*cls.columns, console=console, transient=cls.transient, disable=off)
+        with nullcontext() if off else bars:
             yield cls(console, bars, quiet=quiet)
 
     def note(self, sentence: str) -> None:
@@ -105,10 +105,7 @@ class CaptureDisplay(_Shown):
     def started(self, photo: Path) -> None:
         """Begin the display of a photograph."""
         self._stage, self._status = "", RunStatus.DONE
-        if self._bars is not None:
-            self._task = self._bars.add_task(
-                photo.name, total=1.0, stage="reading", error="", left=""
-            )
+        self._task = self._bars.add_task(photo.name, total=1.0, stage="reading", error="", left="")
 
     def progress(self, now: CaptureProgress) -> None:
         """Show the stage, the error and the remaining time."""
@@ -117,12 +114,12 @@ class CaptureDisplay(_Shown):
         stage = SHOWN_STAGES.get(now.stage, now.stage)
         if now.error is not None:
             error = f"differs {now.error:.2f} times as much as parts of the photograph"
-        if self._bars is not None and self._task is not None:
+        if self._task is not None:
             to_go = left and f"{left} left"
             self._bars.update(
                 self._task, completed=now.fraction, stage=stage, error=error, left=to_go
             )
-        elif not self._quiet and stage != self._stage and now.stage != "read":
+        if self._prints and stage != self._stage and now.stage != "read":
             # Without reading, so that an unreadable file prints only its error.
             self._say(f"  {now.seconds:6.1f} s  {stage}  {error}".rstrip())
         interrupted = now.status is RunStatus.INTERRUPTED
@@ -147,7 +144,7 @@ class CaptureDisplay(_Shown):
         self._say(f"matcap: {sentence}")
 
     def _end_bar(self) -> None:
-        if self._bars is not None and self._task is not None:
+        if self._task is not None:
             self._bars.remove_task(self._task)
             self._task = None
 
@@ -158,20 +155,19 @@ class ShareDisplay(_Shown):
     columns = (*_NAMED, TimeRemainingColumn())
     transient = True
 
-    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+    def __init__(self, console: Console, bars: Progress, *, quiet: bool) -> None:
         super().__init__(console, bars, quiet=quiet)
-        self._task = None if bars is None else bars.add_task("", total=1.0, visible=False)
+        self._task = bars.add_task("", total=1.0, visible=False)
         self._began = self._printed = time.monotonic()
 
     def progress(self, share: float, work: str = "relighting") -> None:
         """Show the share done, in [0, 1], of the work named."""
         now = time.monotonic()
-        if self._bars is not None and self._task is not None:
-            long = now - self._began > _SHORT
-            self._bars.update(self._task, completed=share, visible=long, description=work)
-        elif not self._quiet and now - self._printed >= _EVERY:
+        long = now - self._began > _SHORT
+        self._bars.update(self._task, completed=share, visible=long, description=work)
+        if self._prints and now - self._printed >= _EVERY:
             self._printed = now
-            self._say(f"  {share:6.1%}  {work}")
+            self._say(f"  {100.0 * share:5.1f} %  {work}")
 
 
 class BatchDisplay(_Shown):
@@ -180,48 +176,44 @@ class BatchDisplay(_Shown):
     columns = (*_NAMED, _PERCENT, _STAGE, _LEFT)
     transient = True
 
-    def __init__(self, console: Console, bars: Progress | None, *, quiet: bool) -> None:
+    def __init__(self, console: Console, bars: Progress, *, quiet: bool) -> None:
         super().__init__(console, bars, quiet=quiet)
         self._tasks: dict[str, TaskID] = {}
         self._shares: dict[str, float] = {}
-        self._whole: TaskID | None = None
+        self._whole = bars.add_task("all", visible=False, stage="", left="")
         self._total = self._made = self._ended = 0
         self._began: float | None = None
 
     def expect(self, total: int) -> None:
         """Set the number of samples."""
         self._total = total
-        if self._bars is not None:
-            self._whole = self._bars.add_task("all", total=total, stage="", left="")
+        self._bars.update(self._whole, total=total, visible=True)
 
     def started(self, entry: BatchEntry) -> None:
         """Work on a sample begins."""
         name = entry.sample.name
         self._began = self._began or time.monotonic()
         self._shares[name] = 0.0
-        if self._bars is not None and name not in self._tasks:
+        if name not in self._tasks:
             self._tasks[name] = self._bars.add_task(name, total=1.0, stage="waiting", left="")
 
     def progress(self, entry: BatchEntry, now: WorkProgress) -> None:
         """Update the progress of a sample."""
         name = entry.sample.name
         self._shares[name] = now.fraction
-        if self._bars is not None and name in self._tasks:
+        if name in self._tasks:
             stage = SHOWN_STAGES.get(now.stage, now.stage)
             self._bars.update(self._tasks[name], completed=now.fraction, stage=stage)
-            if self._whole is not None:
-                self._bars.update(self._whole, left=self._left())
+            self._bars.update(self._whole, left=self._left())
 
     def ended(self, entry: BatchEntry) -> None:
         """A sample is made, kept, failed or left."""
         name = entry.sample.name
         self._shares.pop(name, None)
         self._ended += 1
-        if self._bars is not None:
-            if name in self._tasks:
-                self._bars.remove_task(self._tasks.pop(name))
-            if self._whole is not None:
-                self._bars.update(self._whole, completed=self._ended)
+        if name in self._tasks:
+            self._bars.remove_task(self._tasks.pop(name))
+        self._bars.update(self._whole, completed=self._ended)
         count = f"[{self._ended}/{self._total}] " if self._total else ""
         if entry.state == "made":
             self._made += 1

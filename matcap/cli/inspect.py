@@ -221,10 +221,10 @@ def _spectrum_lines(measured: dict[str, Any] | None) -> list[tuple[str, str]]:
         return f"mostly in details of {low / 2:g} to {high / 2:g} pixels"
 
     steep = math.degrees(math.atan(math.hypot(*(band["slope"] for band in bands))))
-    varies = math.expm1(math.hypot(*(band["albedo"] for band in bands)))
+    varies = 100.0 * math.expm1(math.hypot(*(band["albedo"] for band in bands)))
     return [
         ("relief", f"Slopes of about {steep:.0f} degrees, {finest('slope')}."),
-        ("albedo", f"Its lightness varies by about {varies:.0%}, {finest('albedo')}."),
+        ("albedo", f"Its lightness varies by about {varies:.0f} %, {finest('albedo')}."),
     ]
 
 

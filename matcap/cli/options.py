@@ -199,8 +199,8 @@ def _parameter(one: Setting) -> inspect.Parameter:
         kind, more = Any, {"parser": typed(one.parse)}
     elif math.isfinite(one.least):
         metavar = metavar or _range(one.least, one.most)
-    off = one.off or f"--no-{one.flag[2:]}"
-    flag = f"{one.flag}/{off}" if kind is bool else one.flag
+    off = f"--no-{one.flag[2:]}" if one.off == "" else one.off
+    flag = f"{one.flag}/{off}" if kind is bool and off else one.flag
     names = [flag, *([one.short] if one.short else [])]
     option: Any = typer.Option
     shown = one.otherwise or default is not None

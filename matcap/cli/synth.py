@@ -343,18 +343,18 @@ def export(
     """
     from matcap.cli.display import working
     from matcap.errors import UsageError
-    from matcap.export.job import ExportJob, known_scale, material_reach
-    from matcap.export.targets import DOCUMENTS, TARGETS, export_bytes, sidecar_name, write_export
+    from matcap.export import targets
     from matcap.field.opened import open_tile, refuse_with_piece
     from matcap.files.output import check_output, check_writable
     from matcap.files.process import check_memory
     from matcap.files.settings import known, refuse_options
 
     if to is None:
-        raise UsageError.at("--to", "there is no target", f"choose from {', '.join(TARGETS)}")
-    target = known(to, TARGETS, "--to")
+        names = ", ".join(targets.TARGETS)
+        raise UsageError.at("--to", "there is no target", f"choose from {names}")
+    target = known(to, targets.TARGETS, "--to")
     options = chosen(ExportOptions, written)
-    if target in DOCUMENTS:
+    if target in targets.DOCUMENTS:
         refuse_options(
             {"--normal": options.normal},
             f"only textures alone have this option, and {target} has a document",
@@ -366,7 +366,7 @@ def export(
         refuse_with_piece({"--size": size, "--seed": seed, "--variety": read.variety})
     largest = size or values.DEFAULT_SIZE
     if out is not None:
-        check_writable(out, export_bytes(*largest))
+        check_writable(out, targets.export_bytes(*largest))
     check_memory(_TEXEL_BYTES * largest.width * largest.height, "--size", "ask for fewer texels")
     with working("synthesising", quiet=quiet or json):
         opened = open_tile(path, read, size=size, seed=seed, piece=tile is not None)
@@ -376,21 +376,13 @@ def export(
     asked_for += "_painted" * (opened.maps.painted is not None)
     asked_for += "_tile-piece" * (tile is not None)
     folder = out or Path(f"{opened.name}_{target}{asked_for}")
-    sidecar = folder / sidecar_name(opened.name, target)
+    sidecar = folder / targets.sidecar_name(opened.name, target)
     check_output([sidecar], overwrite=overwrite)
-    check_writable(folder, export_bytes(*opened.maps.size))
-    job = ExportJob(
-        opened.maps,
-        opened.name,
-        options.unit or known_scale(opened.provenance),
-        options.bits,
-        opened.provenance,
-        options.container,
-        material_reach(path, opened.name),
-    )
+    check_writable(folder, targets.export_bytes(*opened.maps.size))
+    job = targets.job_of(opened, path, options)
     inputs = [file for file in files_read(path) if file.name != sidecar.name]
     with working(f"exporting to {target}", quiet=quiet or json):
-        done = write_export(job, target, folder, options, inputs=inputs, overwrite=overwrite)
+        done = targets.write_export(job, target, folder, inputs=inputs, overwrite=overwrite)
     _report(done, as_json=json, quiet=quiet)
 
 
@@ -398,18 +390,7 @@ def _report(done: Exported, *, as_json: bool, quiet: bool) -> None:
     if as_json:
         from json import dumps
 
-        off = done.residual
-        report = {
-            "folder": str(done.folder),
-            "files": done.files,
-            "workflow": done.workflow,
-            "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-            "residuals": {
-                name: {"mean": one.mean, "worst": one.worst} for name, one in done.residuals.items()
-            },
-            "notes": done.notes,
-        }
-        typer.echo(dumps(report, indent=2, allow_nan=False))
+        typer.echo(dumps(done.document(), indent=2, allow_nan=False))
         return
     if quiet:
         return

@@ -23,11 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from matcap.export.job import Container, Depth, ExportJob, MapRows, Picture, rgb
+from matcap.export.job import ExportJob, MapRows, Picture, rgb
+from matcap.export.options import Container, Depth
 from matcap.export.presets import EngineModel, PackedMaterial, engine_surface, packed
 from matcap.export.shading import GLTF, MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import WRITERS, TextureFile
-from matcap.export.textures import BASE, Export, coded_normal, occlusion_entry, signed
+from matcap.export.textures import BASE, Export, coded_normal, occlusion_entry
 from matcap.export.workflows import base_colour, brightest, clipping_notes, specular_colour
 from matcap.files.names import MAKER
 
@@ -71,15 +72,9 @@ def gltf_specular(job: ExportJob) -> Export:
     }
 
     def surface(seen: dict[str, TextureFile], read: Reader) -> TargetSurface:
-        f0 = (read(seen["specular_color"]) * largest).clamp(max=1.0)
-        return TargetSurface(
-            read(seen["base_color"]),
-            f0,
-            read(seen["roughness"])[1:2],
-            signed(read(seen["normal"])),
-            layer=f0,
-            shading=GLTF,
-        )
+        shown = _seen(model, seen, read)
+        f0 = (shown.f0 * largest).clamp(max=1.0)
+        return replace(shown, f0=f0, layer=f0)
 
     in_browsers = {kind: one.in_browsers() for kind, one in textures.items()}
     surfaces: dict[str, MadeSurface] = {
@@ -123,9 +118,12 @@ def _metallic_textures(job: ExportJob, model: EngineModel) -> dict[str, TextureF
 
 
 def _seen(model: EngineModel, textures: dict[str, TextureFile], read: Reader) -> TargetSurface:
-    """The reflectance that viewers render of the metallic workflow."""
-    kinds = {"base": "base_color", "orm": "roughness", "normal_gl": "normal"}
-    return engine_surface(model, {kind: textures[own] for kind, own in kinds.items()}, read)
+    """The reflectance that viewers render, of a specular colour as it is stored."""
+    kinds = {
+        "base_color": "base", "specular_color": "specular", "roughness": "orm",
+        "normal": "normal_gl",
+    }  # fmt: skip
+    return engine_surface(model, {kinds[own]: one for own, one in textures.items()}, read)
 
 
 def _stored(

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,20 +16,10 @@ from torch import Tensor
 from matcap.brdf.maps import COLOURED, MapSet, normals_of_rows
 from matcap.errors import MatcapError, UsageError
 from matcap.export.occlusion import Occlusion, occlusion
+from matcap.export.options import Container, ExportOptions
 from matcap.field.material import Material
 
-# Pixel types in memory and file formats of textures.
-
-Depth = Literal["8", "16", "half", "float"]
-Container = Literal["png", "jpg", "exr"]
 Picture = NDArray[np.float32]
-
-CONTAINERS: dict[Container, tuple[Depth, ...]] = {
-    "png": ("8", "16"),
-    "jpg": ("8",),
-    "exr": ("half", "float"),
-}
-NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
 # Rows processed together: with 4096 columns the working set fits the cache.
 _BAND_ROWS = 64
 
@@ -50,7 +40,7 @@ def mean_channel(values: Picture) -> Picture:
 
 
 def bands(height: int) -> list[slice]:
-    """Slices of _ROWS rows that cover a picture."""
+    """Slices of _BAND_ROWS rows that cover a picture."""
     return [slice(top, min(top + _BAND_ROWS, height)) for top in range(0, height, _BAND_ROWS)]
 
 
@@ -64,12 +54,10 @@ class ExportJob:
     """Beginning of the files' names; a plain file name."""
     millimetres: float | None = None
     """Physical length of a plane unit; None if it was not measured."""
-    depth: Depth | None = None
-    """Depth of all textures, instead of the target's default."""
+    options: ExportOptions = ExportOptions()
+    """What the user wants in place of the target's defaults."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     """Record of how the material was made; JSON."""
-    container: Container | None = None
-    """File format of textures that it can hold, instead of the target's default."""
     reach: float | None = None
     """Integer heights cover [-reach, reach] plane units, the same for all realisations of a
     material; None is derived from these maps."""
@@ -82,14 +70,12 @@ class ExportJob:
             containers: file formats that they can hold.
             floats: whether they can hold half floats and floats.
         """
-        if not floats and self.depth in ("half", "float"):
+        wanted = self.options.container
+        if not floats and self.options.bits in ("half", "float"):
             raise UsageError.at("--bits", f"{reader} has no float textures", "give 8 or 16")
-        if self.container is not None and self.container not in containers:
-            raise UsageError.at(
-                "--format",
-                f"{reader} cannot hold {self.container}",
-                f"give {', '.join(containers[:-1])} or {containers[-1]}",
-            )
+        if wanted is not None and wanted not in containers:
+            remedy = f"give {', '.join(containers[:-1])} or {containers[-1]}"
+            raise UsageError.at("--format", f"{reader} cannot hold {wanted}", remedy)
 
     @property
     def unit(self) -> str:

@@ -76,7 +76,6 @@ class Layered:
     """
 
     base: TextureFile
-    """Base colour."""
     second: TextureFile
     """Tint of the specular lobe, or metalness."""
     kind: Literal["tint", "metalness"]

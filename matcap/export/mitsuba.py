@@ -38,19 +38,7 @@ def mitsuba(job: ExportJob) -> tex.Export:
     textures = tex.standard_textures(job)
     exact_surface = partial(tex.standard_surface, textures)
     bare = float(job.picture("diffuse").max()) < _NO_DIFFUSE
-    blend = (
-        {}
-        if bare
-        else {
-            "share": TextureFile.of(job, _share, "16", "share of the blend that is specular"),
-            "blend_diffuse": TextureFile.of(
-                job, _blend_diffuse, "16", "diffuse / (1 - share)", srgb=True
-            ),
-            "blend_specular": TextureFile.of(
-                job, _blend_specular, "16", "F0 / share", srgb=job.coloured
-            ),
-        }
-    )
+    blend = {} if bare else _blend(job)
     names = tex.file_names(job.name, textures | blend)
 
     def surface(read: Reader) -> TargetSurface:
@@ -99,20 +87,29 @@ def _blended(gloss: ET.Element, names: dict[str, str]) -> ET.Element:
     return plain
 
 
+def _blend(job: ExportJob) -> dict[str, TextureFile]:
+    """Textures of the blend's share and of what it blends."""
+
+    def diffuse(piece: MapRows) -> Picture:
+        return piece.picture("diffuse") / (np.float32(1.0) - _share(piece))[..., None]
+
+    def specular(piece: MapRows) -> Picture:
+        f0, share = piece.picture("specular"), np.maximum(_share(piece), 1e-6)
+        return (f0 / (share if f0.ndim == 2 else share[..., None])).astype(np.float32)
+
+    of = partial(TextureFile.of, job)
+    return {
+        "share": of(_share, "16", "share of the blend that is specular"),
+        "blend_diffuse": of(diffuse, "16", "diffuse / (1 - share)", srgb=True),
+        "blend_specular": of(specular, "16", "F0 / share", srgb=job.coloured),
+    }
+
+
 def _share(piece: MapRows) -> Picture:
     """(H, W) specular share w: 1 - diffuse albedo, at least F0, at most _LARGEST_SHARE."""
     rest = 1.0 - piece.picture("diffuse").max(axis=-1)
     least = np.minimum(brightest_channel(piece.picture("specular")), _LARGEST_SHARE)
     return np.clip(rest, least, np.float32(_LARGEST_SHARE)).astype(np.float32)
-
-
-def _blend_diffuse(piece: MapRows) -> Picture:
-    return piece.picture("diffuse") / (np.float32(1.0) - _share(piece))[..., None]
-
-
-def _blend_specular(piece: MapRows) -> Picture:
-    f0, share = piece.picture("specular"), np.maximum(_share(piece), 1e-6)
-    return (f0 / (share if f0.ndim == 2 else share[..., None])).astype(np.float32)
 
 
 def _scene(job: ExportJob, bsdf: ET.Element, normal: str) -> bytes:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from matcap.files import settings as values
-from matcap.files.settings import CheckedSettings, setting
+from matcap.files.settings import CheckedSettings, Size, setting
 
-if TYPE_CHECKING:
-    from matcap.export.job import Container, Depth, NormalMaps
-    from matcap.export.textures import Workflow
-    from matcap.files.settings import Size
-
+Depth = Literal["8", "16", "half", "float"]
+Container = Literal["png", "jpg", "exr"]
+NormalMaps = Literal["gl", "dx", "both"]  # +Y up, +Y down, or a file of each
+Workflow = Literal["metallic", "specular"]
+CONTAINERS: dict[Container, tuple[Depth, ...]] = {
+    "png": ("8", "16"),
+    "jpg": ("8",),
+    "exr": ("half", "float"),
+}
 _LARGEST = 65_536  # texels a side
 
 

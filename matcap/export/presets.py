@@ -6,7 +6,7 @@ The normal map's direction is always in its name. PRESETS is the table of all.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib.resources import files as resources
@@ -18,17 +18,8 @@ from torch import Tensor
 
 from matcap.export import textures as tex
 from matcap.export import workflows
-from matcap.export.job import (
-    Depth,
-    ExportJob,
-    MapRows,
-    NormalMaps,
-    Picture,
-    brightest_channel,
-    mean_channel,
-    rgb,
-)
-from matcap.export.options import ExportOptions
+from matcap.export.job import ExportJob, MapRows, Picture, brightest_channel, mean_channel, rgb
+from matcap.export.options import Depth, NormalMaps, Workflow
 from matcap.export.shading import (
     GLTF,
     MATCAP,
@@ -92,7 +83,7 @@ class EngineModel:
 
     shading: TargetShading
     """The engine's shading model."""
-    workflow: tex.Workflow
+    workflow: Workflow
     """Parametrisation of the textures."""
     dielectric: tuple[float, float] = (0.0, 1.0)
     """Metallic workflow: (lowest, highest) F0 of dielectrics."""
@@ -158,12 +149,6 @@ def _map(kind: str) -> Callable[[PackedMaterial], Picture]:
     return lambda material: material.piece.picture(kind)
 
 
-def _metallic(material: PackedMaterial) -> Picture:
-    if material.model.workflow == "specular":
-        return 0.0 * material.roughness
-    return material.metallic.metallic
-
-
 # Channels of textures: (H, W) or (H, W, 3).
 _CHANNELS: dict[str, Callable[[PackedMaterial], Picture]] = {
     **{kind: _map(kind) for kind in ("diffuse", "specular", "occlusion", "cavity", "height")},
@@ -173,7 +158,9 @@ _CHANNELS: dict[str, Callable[[PackedMaterial], Picture]] = {
     "level": lambda material: material.metallic.dielectric / np.float32(_LEVEL_F0),
     "roughness": lambda material: material.roughness,
     "smoothness": lambda material: 1.0 - material.roughness,
-    "metallic": _metallic,
+    "metallic": lambda m: (
+        0.0 * m.roughness if m.model.workflow == "specular" else m.metallic.metallic
+    ),
     "F0": lambda material: rgb(material.f0),
     "zero": lambda material: 0.0 * material.roughness,
     "one": lambda material: np.ones_like(material.roughness),
@@ -226,10 +213,9 @@ def _stated(kind: str, text: str) -> tuple[str, str, Depth]:
 _DEPTHS = ("16", "half", "float")
 
 
-def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) -> tex.Export:
+def pack(job: ExportJob, preset: Preset) -> tex.Export:
     """Convert and pack the textures of a preset."""
-    choice = choice or ExportOptions()
-    wanted = choice.maps
+    wanted = job.options.maps
     model = preset.model and _chosen(job, preset, preset.model.of(job))
     packed: dict[str, tuple[str, TextureFile]] = {}
     for kind, text in preset.textures.items():
@@ -237,7 +223,7 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
             continue
         label, _, depth = _stated(kind, text)
         if kind == "normal":
-            green = choice.normal or preset.normal
+            green = job.options.normal or preset.normal
             for way in ("gl", "dx") if green == "both" else (green,):
                 made = _normal(job, depth, dx=way == "dx")
                 packed[f"normal_{way}"] = preset.normal_labels[way == "dx"], made
@@ -255,7 +241,7 @@ def pack(job: ExportJob, preset: Preset, choice: ExportOptions | None = None) ->
     if preset.documents is not None and model is not None and not wanted:
         texts = preset.documents(job, names, model)
         documents = {name: text.encode() for name, text in texts.items()}
-    entries = _entries(job, preset, wanted) | {"textures": names}
+    entries = _entries(job, preset) | {"textures": names}
     if model is not None and model.workflow == "metallic":
         entries["metallic"] = model.form
     return tex.Export(textures, documents, surfaces, preset.notes, entries)
@@ -290,8 +276,8 @@ def _names(
     }
 
 
-def _entries(job: ExportJob, preset: Preset, wanted: Sequence[str]) -> dict[str, Any]:
-    there = wanted or list(preset.textures)
+def _entries(job: ExportJob, preset: Preset) -> dict[str, Any]:
+    there = job.options.maps or list(preset.textures)
     entries: dict[str, Any] = {}
     if "height" in there:
         whole = _height(job, _stated("height", preset.textures["height"])[2]).whole
@@ -443,11 +429,11 @@ _IMPORT = "run T_*_import.py in Unreal to import them with the right settings"
 _NORMAL = "set the Texture Type of Normal_GL to Normal map"
 
 # The workflow that every project can render, even where another has a smaller residual.
-PLAIN: dict[str, tex.Workflow] = {"unreal": "metallic"}
+PLAIN: dict[str, Workflow] = {"unreal": "metallic"}
 
 # Textures by name: {map} of the file name, and content and depth (CONTENT) where they are
 # not those of the texture's name and 8 bits.
-PRESETS: dict[str, Mapping[tex.Workflow | None, Preset]] = {
+PRESETS: dict[str, Mapping[Workflow | None, Preset]] = {
     "polyhaven": {
         None: Preset(
             "{stem}_{map}_{res}",

@@ -249,7 +249,6 @@ class TargetSurface:
     layer: float | Tensor | None = None
     """F0 of the layer that darkens the diffuse part, a number or a tensor like f0."""
     shading: TargetShading = MATCAP
-    """Shading model."""
     metal: Tensor | None = None
     """(1 or 3, H, W) F0 of the metallic part, where that is a lobe of its own."""
     share: Tensor | None = None
@@ -288,7 +287,8 @@ class Residual:
     """Mean over all texels for the pair of view and light with the largest residual."""
 
     def __str__(self) -> str:
-        return f"{self.mean:.2%} of the light on average, {self.worst:.2%} at worst"
+        mean, worst = 100.0 * self.mean, 100.0 * self.worst
+        return f"{mean:.2f} % of the light on average, {worst:.2f} % at worst"
 
 
 def thinning(width: int, height: int, texels: int = _TEXELS) -> int:

@@ -37,7 +37,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,16 +45,16 @@ from typing import Any
 from matcap.brdf.edited import seam_ratio
 from matcap.errors import UsageError
 from matcap.export.gltf import gltf_metallic, gltf_specular
-from matcap.export.job import Container, ExportJob, NormalMaps, known_scale, material_reach
+from matcap.export.job import ExportJob, known_scale, material_reach
 from matcap.export.materialx import materialx
 from matcap.export.mitsuba import blender, mitsuba
-from matcap.export.options import ExportOptions
+from matcap.export.options import Container, ExportOptions, NormalMaps, Workflow
 from matcap.export.presets import PLAIN, PRESETS, pack
 from matcap.export.shading import Residual, residuals
 from matcap.export.texture_file import WRITERS
-from matcap.export.textures import Export, Workflow
+from matcap.export.textures import Export
 from matcap.export.usd import usd_metallic, usd_specular
-from matcap.field.opened import open_tile
+from matcap.field.opened import OpenedMaps, open_tile
 from matcap.files.names import MAKER_VERSION, plain_name, sanitised_name
 from matcap.files.output import Output, check_output
 from matcap.files.settings import known
@@ -76,7 +76,7 @@ _AS_NEAR = 0.02  # relative difference below which two residuals count as equal
 # Exporters of a target by workflow; None where there is no choice.
 Forms = Mapping[Workflow | None, Callable[[ExportJob], Export]]
 
-# Targets with a document of their own.
+# Targets with a document of their own, then those of textures alone.
 DOCUMENTS: dict[str, Forms] = {
     "materialx": {None: materialx},
     "usd": {"specular": usd_specular, "metallic": usd_metallic},
@@ -84,7 +84,10 @@ DOCUMENTS: dict[str, Forms] = {
     "blender": {None: blender},
     "mitsuba": {None: mitsuba},
 }
-TARGETS = (*DOCUMENTS, *PRESETS)
+TARGETS: dict[str, Forms] = DOCUMENTS | {
+    name: {workflow: partial(pack, preset=preset) for workflow, preset in forms.items()}
+    for name, forms in PRESETS.items()
+}
 
 
 @dataclass(frozen=True)
@@ -95,14 +98,18 @@ class Exported:
     """The folder of its files."""
     files: tuple[str, ...]
     """File names, sorted."""
+    workflow: Workflow | None
+    """The form that was written; None for targets with one form."""
     residual: Residual | None
     """Difference of the target's reflected light from matcap's; None for unconverted maps."""
+    residuals: Mapping[str, Residual]
+    """Residuals of every form and every known reader, by name."""
     notes: tuple[str, ...]
     """Notes for the user, a sentence each."""
-    workflow: Workflow | None = None
-    """The form that was written; None for targets with one form."""
-    residuals: Mapping[str, Residual] = field(default_factory=dict)
-    """Residuals of every form and every known reader, by name."""
+
+    def document(self) -> dict[str, Any]:
+        """The export for JSON."""
+        return asdict(self) | {"folder": str(self.folder)}
 
 
 def check_targets(names: Sequence[str]) -> tuple[str, ...]:
@@ -139,17 +146,15 @@ def export_mapset(
     """
     opened = open_tile(folder)
     place = folder if folder.is_dir() else folder.parent
-    millimetres = known_scale(opened.provenance)
-    reach = material_reach(folder, opened.name)
-    job = ExportJob(
-        opened.maps,
-        opened.name,
-        millimetres,
-        provenance=opened.provenance,
-        container=options.container if options else None,
-        reach=reach,
-    )
-    return write_export(job, target, place / (name or target), options, overwrite=True)
+    job = job_of(opened, folder, options or ExportOptions())
+    return write_export(job, target, place / (name or target), overwrite=True)
+
+
+def job_of(opened: OpenedMaps, path: Path, options: ExportOptions) -> ExportJob:
+    """The job of a map set that was opened from `path`."""
+    millimetres = options.unit or known_scale(opened.provenance)
+    reach = material_reach(path, opened.name)
+    return ExportJob(opened.maps, opened.name, millimetres, options, opened.provenance, reach)
 
 
 def export_bytes(width: int, height: int) -> int:
@@ -161,17 +166,16 @@ def write_export(
     job: ExportJob,
     target: str,
     folder: Path,
-    options: ExportOptions | None = None,
     *,
     inputs: Sequence[Path] = (),
     overwrite: bool = False,
 ) -> Exported:
     """Write maps for a target, all files or none.
 
+    The default workflow is presets.PLAIN's, else the one with the smaller residual.
+
     Args:
         folder: created if missing.
-        options: workflow, and options of presets; the default workflow is presets.PLAIN's, else
-            the one with the smaller residual.
         inputs: files that were read, and must not be replaced.
         overwrite: replace existing files.
 
@@ -181,12 +185,11 @@ def write_export(
         MatcapError: values that are not finite, a full disk, an unwritable folder, a file that
             exists.
     """
-    known(target, TARGETS, "--to")
-    forms = DOCUMENTS[target] if target in DOCUMENTS else preset_forms(target, options)
+    forms = TARGETS[known(target, TARGETS, "--to")]
     # Other programs interpret $, @, <UDIM>, quotes and the like in file names.
     plain_name(job.name, what="the map set's name")
     job = replace(job, name=sanitised_name(job.name))
-    form = _form(forms, target, options.workflow if options else None)
+    form = _form(forms, target, job.options.workflow)
     # Compute the residual of every form; only the chosen one is written.
     made = {name: make(job) for name, make in forms.items()}
     errors = {name: residuals(job, export.surfaces) for name, export in made.items()}
@@ -195,25 +198,18 @@ def write_export(
     named = {name: one for per_form in errors.values() for name, one in per_form.items()}
     about = _sidecar(made[chosen], job, target, first[chosen]) | {
         "workflow": chosen,
-        "residuals": {name: {"mean": one.mean, "worst": one.worst} for name, one in named.items()},
+        "residuals": {name: asdict(one) for name, one in named.items()},
     }
     export, sidecar = made[chosen], sidecar_name(job.name, target)
     outputs = [folder / name for name in (*export.textures, *export.documents, sidecar)]
     check_output(outputs, inputs=inputs, overwrite=overwrite)
     files = _write(export, job, about, folder)
-    return Exported(folder, files, first[chosen], tuple(about["notes"]), chosen, named)
+    return Exported(folder, files, chosen, first[chosen], named, tuple(about["notes"]))
 
 
 def sidecar_name(name: str, target: str) -> str:
     """Name of the sidecar of an export."""
     return f"{sanitised_name(name)}_{target}.json"
-
-
-def preset_forms(name: str, choice: ExportOptions | None = None) -> Forms:
-    """Writers of a preset by workflow (specular, metallic)."""
-    return {
-        form: partial(pack, preset=preset, choice=choice) for form, preset in PRESETS[name].items()
-    }
 
 
 def _form(forms: Forms, target: str, workflow: Workflow | None) -> Workflow | None:
@@ -253,16 +249,12 @@ def _nearest(errors: Mapping[Workflow | None, Residual | None]) -> Workflow | No
     return next(form for form, mean in means.items() if mean <= most)
 
 
-def _far(target: str, off: Residual | None) -> list[str]:
-    if off is None or off.mean <= _FAR:
-        return []
-    return [f"{target} cannot represent this material: {off} differ from matcap's"]
-
-
 def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) -> dict[str, Any]:
     """The sidecar; the module's docstring lists its keys."""
     width, height = job.maps.size
-    across, down = (side * job.unit_length for side in job.extent)
+    notes = list(made.notes)
+    if off is not None and off.mean > _FAR:
+        notes.append(f"{target} cannot represent this material: {off} differ from matcap's")
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -272,7 +264,7 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
         "width": width,
         "height": height,
         "unit": job.unit,
-        "tile": [across, down],
+        "tile": [side * job.unit_length for side in job.extent],
         "texel": job.maps.texel_size * job.unit_length,
         "periodic": job.maps.periodic,
         "seam": round(seam_ratio(job.maps), 3),
@@ -285,8 +277,8 @@ def _sidecar(made: Export, job: ExportJob, target: str, off: Residual | None) ->
             for file, texture in made.textures.items()
         },
         "documents": sorted(made.documents),
-        "residual": None if off is None else {"mean": off.mean, "worst": off.worst},
-        "notes": [*made.notes, *_far(target, off), *([] if job.maps.periodic else [_SEAM])],
+        "residual": None if off is None else asdict(off),
+        "notes": notes if job.maps.periodic else [*notes, _SEAM],
         **made.entries,
         "provenance": dict(job.provenance),
     }

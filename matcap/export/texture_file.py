@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.errors import MatcapError, UsageError
-from matcap.export.job import CONTAINERS, Container, Depth, ExportJob, MapRows, Picture, bands
+from matcap.export.job import ExportJob, MapRows, Picture, bands
+from matcap.export.options import CONTAINERS, Container, Depth
 from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.exr import LARGEST_HALF, write_exr
 from matcap.files.pixels import PNG_HEADER, png_bytes, png_chunk, quantised, swap_red_blue
@@ -61,19 +62,16 @@ class TextureFile:
         Raises:
             UsageError: the format has not this depth.
         """
-        depth, container = job.depth or usual, job.container
+        depth, container = job.options.bits or usual, job.options.container
         if container is None:
             container = "png" if depth in CONTAINERS["png"] else "exr"
         elif container == "jpg" and not lossy:
             container = "png"
-        if job.depth is None and usual not in CONTAINERS[container]:
+        if job.options.bits is None and usual not in CONTAINERS[container]:
             depth = "half" if container == "exr" else CONTAINERS[container][-1]
         if depth not in CONTAINERS[container]:
-            raise UsageError.at(
-                "--bits",
-                f"{container} has no depth {depth}",
-                f"give {' or '.join(CONTAINERS[container])}",
-            )
+            remedy = f"give {' or '.join(CONTAINERS[container])}"
+            raise UsageError.at("--bits", f"{container} has no depth {depth}", remedy)
         return TextureFile(make, depth, srgb, meaning, container)
 
     @property

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -14,8 +15,6 @@ from matcap.export.job import ExportJob, MapRows, Picture
 from matcap.export.occlusion import settings
 from matcap.export.shading import MadeSurface, Reader, TargetSurface
 from matcap.export.texture_file import TextureFile
-
-Workflow = Literal["metallic", "specular"]
 
 # Meanings of textures' values, for sidecars.
 DIFFUSE = "diffuse albedo, Rec.709"
@@ -55,12 +54,13 @@ def standard_textures(job: ExportJob) -> dict[str, TextureFile]:
     diffuse, specular, roughness, normal_gl, height. By default 16-bit PNGs, colours sRGB-encoded;
     the height in 32-bit float, plane units.
     """
+    of = partial(TextureFile.of, job)
     return {
-        "diffuse": TextureFile.of(job, picture("diffuse"), "16", DIFFUSE, srgb=True),
-        "specular": TextureFile.of(job, picture("specular"), "16", SPECULAR, srgb=job.coloured),
-        "roughness": TextureFile.of(job, picture("roughness"), "16", ROUGHNESS),
-        "normal_gl": TextureFile.of(job, coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
-        "height": float_height(),
+        "diffuse": of(picture("diffuse"), "16", DIFFUSE, srgb=True),
+        "specular": of(picture("specular"), "16", SPECULAR, srgb=job.coloured),
+        "roughness": of(picture("roughness"), "16", ROUGHNESS),
+        "normal_gl": of(coded_normal, "16", f"{NORMAL}, +Y up (OpenGL)"),
+        "height": TextureFile(picture("height"), "float", False, HEIGHT, "exr"),
     }
 
 
@@ -101,11 +101,6 @@ def coded_height(piece: MapRows) -> Picture:
     """(H, W) height in [0, 1], 0.5 undisplaced (ExportJob.height_code)."""
     scale, midlevel = piece.job.height_code
     return piece.picture("height") / np.float32(scale) + np.float32(midlevel)
-
-
-def float_height() -> TextureFile:
-    """The height in plane units, always 32-bit float."""
-    return TextureFile(picture("height"), "float", False, HEIGHT, "exr")
 
 
 def height_entry(job: ExportJob, scale: float, midlevel: float) -> dict[str, Any]:

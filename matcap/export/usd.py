@@ -33,7 +33,7 @@ from matcap.export.materialx import INPUTS, Layered
 from matcap.export.presets import EngineModel, PackedMaterial
 from matcap.export.shading import MadeSurface, Reader, TargetShading, TargetSurface
 from matcap.export.texture_file import TextureFile
-from matcap.export.workflows import base_colour, clipping_notes, specular_colour
+from matcap.export.workflows import Metallic, base_colour, clipping_notes, specular_colour
 from matcap.files.names import MAKER
 
 SHADING = TargetShading(layer="half", each=True)
@@ -58,13 +58,11 @@ def usd_specular(job: ExportJob) -> tex.Export:
     def tint(piece: MapRows) -> Picture:
         return rgb(specular_colour(piece, SHADING))
 
+    of = partial(TextureFile.of, job)
     inputs = {
-        "base_color": TextureFile.of(
-            job, lambda p: base_colour(p, SHADING), "8", tex.BASE, srgb=True
-        ),
+        "base_color": of(lambda p: base_colour(p, SHADING), "8", tex.BASE, srgb=True),
         # sRGB-encoded: three.js decodes it regardless of the stage's sourceColorSpace.
-        "specular": TextureFile.of(job, tint, "16", tex.SPECULAR, srgb=True),
-        "roughness": TextureFile.of(job, tex.picture("roughness"), "16", tex.ROUGHNESS),
+        "specular": of(tint, "16", tex.SPECULAR, srgb=True),
         **_shared(job),
     }
     in_browsers = {kind: one.in_browsers() for kind, one in inputs.items()}
@@ -124,14 +122,13 @@ def usd_metallic(job: ExportJob) -> tex.Export:
 def _metallic_inputs(
     job: ExportJob, model: EngineModel, shared: dict[str, TextureFile]
 ) -> dict[str, TextureFile]:
+    def metallic(piece: MapRows) -> Metallic:
+        return PackedMaterial(piece, model).metallic
+
+    of = partial(TextureFile.of, job)
     return {
-        "base_color": TextureFile.of(
-            job, lambda p: PackedMaterial(p, model).metallic.base, "8", tex.BASE, srgb=True
-        ),
-        "metallic": TextureFile.of(
-            job, lambda p: PackedMaterial(p, model).metallic.metallic, "8", "metallic"
-        ),
-        "roughness": TextureFile.of(job, tex.picture("roughness"), "16", tex.ROUGHNESS),
+        "base_color": of(lambda piece: metallic(piece).base, "8", tex.BASE, srgb=True),
+        "metallic": of(lambda piece: metallic(piece).metallic, "8", "metallic"),
         **shared,
     }
 
@@ -154,10 +151,12 @@ def _seen(model: EngineModel, inputs: dict[str, TextureFile], read: Reader) -> T
 
 def _shared(job: ExportJob) -> dict[str, TextureFile]:
     """Textures of both workflows."""
+    of = partial(TextureFile.of, job)
     return {
-        "normal_gl": TextureFile.of(job, tex.coded_normal, "16", f"{tex.NORMAL}, +Y up (OpenGL)"),
-        "height": TextureFile.of(job, tex.coded_height, "16", tex.CODED_HEIGHT, lossy=False),
-        "occlusion": TextureFile.of(job, tex.picture("occlusion"), "8", tex.OCCLUSION),
+        "roughness": of(tex.picture("roughness"), "16", tex.ROUGHNESS),
+        "normal_gl": of(tex.coded_normal, "16", f"{tex.NORMAL}, +Y up (OpenGL)"),
+        "height": of(tex.coded_height, "16", tex.CODED_HEIGHT, lossy=False),
+        "occlusion": of(tex.picture("occlusion"), "8", tex.OCCLUSION),
     }
 
 

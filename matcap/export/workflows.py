@@ -366,8 +366,8 @@ def clipping_notes(job: ExportJob, shading: TargetShading) -> tuple[str, ...]:
         return ()
     width, height = job.maps.size
     return (
-        f"{over / (width * height):.2%} of the texels reflect more than a layered model allows; "
-        "their base colour is clipped",
+        f"{100.0 * over / (width * height):.2f} % of the texels reflect more than a layered model "
+        "allows; their base colour is clipped",
     )
 
 

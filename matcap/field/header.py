@@ -57,19 +57,12 @@ def opened(path: Path, framework: str) -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 def _about(metadata: Mapping[str, str] | None, path: Path) -> dict[str, Any]:
+    remedy = "give a .matcap file written by matcap capture"
     if not metadata or "matcap" not in metadata:
-        raise MatcapError.at(
-            path,
-            "this safetensors file is not a matcap material",
-            "give a .matcap file written by matcap capture",
-        )
+        raise MatcapError.at(path, "this safetensors file is not a matcap material", remedy)
     about: dict[str, Any] = json.loads(metadata["matcap"])
     if about["format"] != FORMAT:
-        raise MatcapError.at(
-            path,
-            f"this holds a {about['format']}, not a material",
-            "give a .matcap file written by matcap capture",
-        )
+        raise MatcapError.at(path, f"this holds a {about['format']}, not a material", remedy)
     if about["version"] not in VERSIONS:
         known = " and ".join(map(str, VERSIONS))
         raise MatcapError.at(

@@ -19,7 +19,6 @@ from matcap.files.settings import refuse_options
 
 if TYPE_CHECKING:
     from matcap.brdf.maps import MapSet
-    from matcap.brdf.stated import NormalSource
     from matcap.field.material import Material
     from matcap.flash.geometry import FlashSetup
 
@@ -76,50 +75,31 @@ def open_tile(
     path = _resolved(path)
     adjust = read.adjustments
     if path.suffix.lower() == ".matcap":
-        _refuse_normals(path, read.normals)
-        material = _material(path).by(read.generator).varied(read.variety)
-        provenance = dict(material.provenance)
+        material = _material(path, read)
+        name, provenance = usable_name(path.stem), dict(material.provenance)
         if piece:
-            return _adjusted_with_provenance(
-                material.repeating(), usable_name(path.stem), provenance | REPEATS, adjust
-            )
-        size, seed = size or (1024, 1024), seed or 0
-        repeat = material.alignment
-        period = None if size[0] % repeat or size[1] % repeat else size
-        maps = material.maps(*size, seed=seed, period=period)
-        return _adjusted_with_provenance(maps, usable_name(path.stem), provenance, adjust)
-    given: dict[str, object] = {"--size": size, "--seed": seed, "--generator": read.generator}
-    given |= {"--variety": read.variety, "--tile piece": piece or None}
-    for option in (option for option, asked in given.items() if asked is not None):
-        raise _own(path, option)
-    maps, document = read_mapset(path, read.normals or "height")
-    return _adjusted_with_provenance(maps, document["name"], document["provenance"], adjust)
-
-
-def _own(path: Path, option: str) -> UsageError:
-    return UsageError.at(
-        option,
-        f"this is a map set ({path}), where this is fixed",
-        "give the material (.matcap), or leave it out",
-    )
-
-
-def _refuse_normals(path: Path, normals: NormalSource | None) -> None:
-    if normals is not None:
-        raise UsageError.at(
-            "--normals",
-            f"this is a material ({path}), whose normals follow from its heights",
-            "give a map set, or leave it out",
-        )
-
-
-def _adjusted_with_provenance(
-    maps: MapSet, name: str, provenance: dict[str, Any], adjust: Adjustments
-) -> OpenedMaps:
+            maps, provenance = material.repeating(), provenance | REPEATS
+        else:
+            size, repeat = size or (1024, 1024), material.alignment
+            period = None if size[0] % repeat or size[1] % repeat else size
+            maps = material.maps(*size, seed=seed or 0, period=period)
+    else:
+        given: dict[str, object] = {"--size": size, "--seed": seed, "--generator": read.generator}
+        given |= {"--variety": read.variety, "--tile piece": piece or None}
+        _refuse_of_material(path, given)
+        maps, document = read_mapset(path, read.normals or "height")
+        name, provenance = document["name"], document["provenance"]
     if adjust.changes:
         before = provenance.get(KEY)
         provenance[KEY] = f"{before}; {adjust.text}" if before else adjust.text
     return OpenedMaps(adjusted(maps, adjust), name, provenance)
+
+
+def _refuse_of_material(path: Path, given: Mapping[str, object]) -> None:
+    """Raise UsageError for the first option that is given with the map set at a path."""
+    for option in (option for option, asked in given.items() if asked is not None):
+        what = f"this is a map set ({path}), where this is fixed"
+        raise UsageError.at(option, what, "give the material (.matcap), or leave it out")
 
 
 @dataclass(frozen=True)
@@ -127,7 +107,6 @@ class PhotographedAs:
     """Camera, flash and size of a material's photograph."""
 
     setup: FlashSetup
-    """Camera and flash."""
     size: tuple[int, int] | None
     """(width, height) in texels of the exemplar if it covers exactly the photograph, else None."""
     endless: bool
@@ -213,11 +192,9 @@ def open_source(path: Path, read: ReadOptions = AS_IT_IS) -> MapSet | Material |
     """
     path, adjust = _resolved(path), read.adjustments
     if path.suffix.lower() != ".matcap":
-        if read.variety is not None:
-            raise _own(path, "--variety")
+        _refuse_of_material(path, {"--variety": read.variety})
         return adjusted(read_mapset(path, read.normals or "height")[0], adjust)
-    _refuse_normals(path, read.normals)
-    material = _material(path).by(read.generator).varied(read.variety)
+    material = _material(path, read)
     return AdjustedMaterial(material, adjust) if adjust.changes else material
 
 
@@ -244,7 +221,14 @@ def _resolved(path: Path) -> Path:
     )
 
 
-def _material(path: Path) -> Material:
+def _material(path: Path, read: ReadOptions = AS_IT_IS) -> Material:
+    """The material of a file, by its generator and of the variety asked for."""
     from matcap.field.material import Material
 
-    return Material.load(path)
+    if read.normals is not None:
+        raise UsageError.at(
+            "--normals",
+            f"this is a material ({path}), whose normals follow from its heights",
+            "give a map set, or leave it out",
+        )
+    return Material.load(path).by(read.generator).varied(read.variety)

@@ -133,23 +133,14 @@ def block_parts(wanted: Rectangle, grid: Grid, period: Period | None) -> Iterato
     along_x, along_y = period or (None, None)
     for rows in _runs(wanted.y, wanted.height, grid.height, along_y):
         for columns in _runs(wanted.x, wanted.width, grid.width, along_x):
-            yield BlockPart(
-                block=Rectangle(columns.block, rows.block, grid.width, grid.height),
-                source=(rows.source, columns.source),
-                target=(rows.target, columns.target),
-            )
+            block = Rectangle(columns[0], rows[0], grid.width, grid.height)
+            yield BlockPart(block, (rows[1], columns[1]), (rows[2], columns[2]))
 
 
-@dataclass(frozen=True)
-class _Run:
-    """A part along one axis: the block's first texel, and slices of block and rectangle."""
-
-    block: int
-    source: slice
-    target: slice
-
-
-def _runs(start: int, length: int, side: int, period: int | None) -> Iterator[_Run]:
+def _runs(
+    start: int, length: int, side: int, period: int | None
+) -> Iterator[tuple[int, slice, slice]]:
+    """Parts along one axis: the block's first texel, and slices of block and rectangle."""
     done = 0
     while done < length:
         place = start + done
@@ -159,5 +150,5 @@ def _runs(start: int, length: int, side: int, period: int | None) -> Iterator[_R
         size = min(block + side - place, length - done)
         if period is not None:
             size = min(size, period - place)
-        yield _Run(block, slice(place - block, place - block + size), slice(done, done + size))
+        yield block, slice(place - block, place - block + size), slice(done, done + size)
         done += size

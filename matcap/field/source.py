@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -115,38 +114,6 @@ class Source(Protocol):
 
     def planes(self, block: Rectangle, normal: NormalStyle) -> NDArray[np.float32]:
         """(9 or 11, height, width) maps and normal of a block."""
-
-
-@dataclass(frozen=True)
-class DerivedSource:
-    """A source whose maps are computed from those of another, block by block."""
-
-    source: Source
-
-    @property
-    def texel_size(self) -> float:
-        """A texel's side in plane units."""
-        return self.source.texel_size
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of blocks."""
-        return self.source.grid
-
-    @property
-    def period(self) -> Period | None:
-        """Period along (x, y), texels; None if the field never repeats."""
-        return self.source.period
-
-    @property
-    def specular_channels(self) -> int:
-        """Channels of F0: 1, or 3 where it has a colour."""
-        return self.source.specular_channels
-
-    @property
-    def device_type(self) -> str:
-        """Device that computes it: "cpu" or "cuda"."""
-        return self.source.device_type
 
 
 class FieldGenerator(Protocol):

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from PIL.JpegImagePlugin import JpegImageFile
 
 APPLE_GAIN_MAP = "urn:com:apple:photo:2020:aux:hdrgainmap"  # a HEIC's auxiliary picture
-_MOST = 1 << 26  # bytes of a meta box; larger ones are not read, as a header may claim any size
 
 
 class FileKind(Enum):
@@ -187,11 +186,11 @@ def primary_properties(path: Path) -> Properties:
     """Read the properties of a file's primary picture.
 
     Raises:
-        ValueError, struct.error, IndexError: the file is damaged.
+        ValueError, struct.error, LookupError, StopIteration: the file is damaged.
         OSError: the file cannot be read.
     """
-    meta = _meta(path)[4:]  # a full box: version and flags first
-    boxes = dict(_boxes(meta))
+    meta = next(data for name, data in _boxes(memoryview(path.read_bytes())) if name == b"meta")
+    boxes = dict(_boxes(meta[4:]))  # a full box: version and flags first
     primary = boxes[b"pitm"]
     wide = primary[0] > 0
     (item,) = struct.unpack_from(">I" if wide else ">H", primary, 4)
@@ -207,33 +206,18 @@ def primary_properties(path: Path) -> Properties:
     return properties
 
 
-def _with(properties: Properties, name: bytes, data: bytes) -> Properties:
-    if name == b"colr" and data[:4] == b"nclx":
+def _with(properties: Properties, name: bytes, data: memoryview) -> Properties:
+    kind = bytes(data[:4]) if name == b"colr" else b""
+    if kind == b"nclx":
         return replace(properties, code_points=struct.unpack_from(">2H", data, 4))
-    if name == b"colr" and data[:4] in (b"prof", b"rICC"):
-        return replace(properties, profile=data[4:])
+    if kind in (b"prof", b"rICC"):
+        return replace(properties, profile=bytes(data[4:]))
     if name == b"pixi" and len(data) > 5:
         return replace(properties, bits=max(data[5 : 5 + data[4]]))
     return properties
 
 
-def _meta(path: Path) -> bytes:
-    with path.open("rb") as file:
-        while len(head := file.read(8)) == 8:
-            size, name = struct.unpack(">I4s", head)
-            begun = 8
-            if size == 1:
-                (size,) = struct.unpack(">Q", file.read(8))
-                begun = 16
-            if name == b"meta" and begun <= size <= _MOST:
-                return file.read(size - begun)
-            if size < begun:
-                break
-            file.seek(size - begun, 1)
-    raise ValueError("no meta box")
-
-
-def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+def _boxes(data: memoryview) -> Iterator[tuple[bytes, memoryview]]:
     at = 0
     while at + 8 <= len(data):
         size, name = struct.unpack_from(">I4s", data, at)
@@ -249,7 +233,7 @@ def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
         at += size
 
 
-def _of_item(data: bytes, item: int) -> Iterator[int]:
+def _of_item(data: memoryview, item: int) -> Iterator[int]:
     """Indices, from 1, of the properties of an item in an ipma box."""
     version, wide = data[0], data[3] & 1
     (count,) = struct.unpack_from(">I", data, 4)

@@ -165,7 +165,6 @@ class RadianceHeader:
     length: int
     """Length of the header in bytes."""
     scanlines: int
-    """Number of scanlines."""
     texels: int
     """Number of texels in a scanline."""
     columns: bool
@@ -250,19 +249,7 @@ def write_exr(path: Path, pixels: NDArray[np.float32], *, half: bool) -> None:
         OSError: the file cannot be written.
     """
     channels = {"RGB" if pixels.ndim == 3 else "Y": pixels}
-    _write(path, channels, {"chromaticities": REC709}, half=half)
-
-
-def write_exr_channels(path: Path, channels: Mapping[str, NDArray[np.float32]]) -> None:
-    """Write planes (H, W) by channel name, as half floats.
-
-    Not atomic: write into a staged folder.
-
-    Raises:
-        MatcapError: a value is not finite, or too large for half float.
-        OSError: the file cannot be written.
-    """
-    _write(path, channels, {}, half=True)
+    write_exr_channels(path, channels, half=half, chromaticities=REC709)
 
 
 def check_representable(name: str, pixels: NDArray[np.float32], *, half: bool) -> None:
@@ -273,10 +260,10 @@ def check_representable(name: str, pixels: NDArray[np.float32], *, half: bool) -
         raise MatcapError.at(name, "has values too large for half float (65504)", "scale them down")
 
 
-def _write(
-    path: Path, channels: Mapping[str, NDArray[np.float32]], more: Mapping[str, Any], *, half: bool
+def write_exr_channels(
+    path: Path, channels: Mapping[str, NDArray[np.float32]], *, half: bool = True, **more: object
 ) -> None:
-    """Write channels by name, with `more` entries of the header."""
+    """Write planes (H, W) by channel name, with `more` entries of the header; see write_exr()."""
     import OpenEXR
 
     stored = {}
@@ -299,7 +286,6 @@ class NamedChannels:
     pixels: NDArray[np.float32]
     """(H, W, C) values of the channels."""
     names: tuple[str, ...]
-    """Names of the channels."""
     primaries: tuple[float, ...] | None
     """Chromaticities x, y of red, green, blue and white, or None."""
 

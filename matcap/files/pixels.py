@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import tempfile
 import warnings
@@ -126,7 +125,6 @@ class Pixels:
     """Stored values of a picture."""
 
     path: Path
-    """Path of the file."""
     stored: NDArray[Any]
     """(H, W, C) uint8, uint16 or float32."""
     roles: Mapping[str, int]
@@ -512,16 +510,6 @@ SUFFIXES = (".png", ".exr")
 _ROWS = 256  # of a picture that are encoded at once
 
 
-def jpeg_bytes(linear: NDArray[np.float32], quality: int, **options: int) -> bytes:
-    """A JPEG of a linear Rec.709 picture (H, W, 3), encoded by Pillow with these options."""
-    from PIL import Image
-
-    stored = io.BytesIO()
-    codes = quantised(srgb_picture(linear), bits=8)
-    Image.fromarray(codes).save(stored, "JPEG", quality=quality, **options)
-    return stored.getvalue()
-
-
 def write_picture(
     image: NDArray[np.float32],
     path: Path,
@@ -566,18 +554,11 @@ def read_mask(path: Path) -> NDArray[np.float32]:
     pixels = read_pixels(path)
     for sentence in pixels.notes:
         note(f"{path}: {sentence}")
-    red, green, blue = (
-        pixels.channel(role if role in pixels.roles else "R") for role in ("R", "G", "B")
-    )
-    grey = (
-        red
-        if pixels.grey
-        else sum(
-            np.float32(weight) * plane
-            for weight, plane in zip(LUMINANCE, (red, green, blue), strict=True)
-        )
-    )
-    grey = np.asarray(grey, np.float32)
+    red, green, blue = (pixels.channel(role if role in pixels.roles else "R") for role in _RGB)
+    grey = red
+    if not pixels.grey:
+        r, g, b = (np.float32(weight) for weight in LUMINANCE)
+        grey = np.asarray(r * red + g * green + b * blue, np.float32)
     if not pixels.whole and not 0.0 <= float(grey.min()) <= float(grey.max()) <= 1.0:
         raise MatcapError.at(
             path,

@@ -190,7 +190,6 @@ class Setting:
     """A setting: a field of a dataclass, with its constraints."""
 
     field: str
-    """Name of the field."""
     name: str
     """Name that users type, with underscores."""
     kind: type
@@ -214,8 +213,8 @@ class Setting:
     """Parser of what users type (of the list, if `several`); raises ValueError."""
     several: bool = False
     """Whether the option may be given several times."""
-    off: str = ""
-    """Option that switches a flag off; "" is --no- and its name."""
+    off: str | None = ""
+    """Option that switches a flag off; "" is --no- and its name, None is no option."""
     group: str = ""
     """Group of the option in help; "" is the first."""
 
@@ -361,7 +360,7 @@ def nearest(name: str, words: Iterable[str], otherwise: str = "") -> str:
     """
     words, name = list(words), name.strip().lower()
     begun = [word for word in words if name and (word.startswith(name) or name.startswith(word))]
-    close = begun or difflib.get_close_matches(name, words, n=1, cutoff=0.5)
+    close = begun or difflib.get_close_matches(name, words, n=1)
     if close:
         return f"did you mean {close[0]!r}"
     return f"choose from {', '.join(words)} {otherwise}".rstrip()

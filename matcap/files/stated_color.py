@@ -6,7 +6,7 @@ import io
 import struct
 import warnings
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,20 +88,21 @@ def read_profile(profile: bytes) -> ColorSpace | None:
     Raises:
         ValueError, struct.error, IndexError: the profile is damaged.
     """
-    if profile[16:20] == b"GRAY":
-        return _grey(profile)
-    if profile[16:20] != b"RGB ":
+    if profile[16:20] not in _MODES:
         return None
-    tags = _tags(profile)
-    if len(tags.get(b"cicp", b"")) >= 12:  # ICC.1:2022, 9.2.17
+    tags, grey = _tags(profile), profile[16:20] == b"GRAY"
+    if not grey and len(tags.get(b"cicp", b"")) >= 12:  # ICC.1:2022, 9.2.17
         stated = space_of_code_points(tags[b"cicp"][8], tags[b"cicp"][9])
         if stated is not None:
             return stated
-    if profile[20:24] != b"XYZ " or any(name not in tags for name in _COLORANTS + _CURVES):
+    curves, colorants = ((b"kTRC",) * 3, ()) if grey else (_CURVES, _COLORANTS)
+    if profile[20:24] != b"XYZ " or any(name not in tags for name in (*curves, *colorants)):
         return None
-    red, green, blue = (_checked(_curve(tags[name])) for name in _CURVES)
-    colorants = np.stack([_xyz(tags[name]) for name in _COLORANTS], axis=1)
-    matrix = np.linalg.solve(REC709_TO_D50, colorants)
+    red, green, blue = (_checked(_curve(tags[name])) for name in curves)
+    if grey:  # whose curve is to luminance
+        return ColorSpace(_description(tags), (red, green, blue))
+    xyz = [np.array(struct.unpack_from(">3i", tags[name], 8)) / 65536.0 for name in colorants]
+    matrix = np.linalg.solve(REC709_TO_D50, np.stack(xyz, axis=1))
     # Equal code values stay grey, whatever the rounding of the colorants.
     matrix /= matrix.sum(axis=1, keepdims=True)
     if not np.isfinite(matrix).all():
@@ -110,24 +111,12 @@ def read_profile(profile: bytes) -> ColorSpace | None:
     return ColorSpace(_description(tags), (red, green, blue), None if same else matrix)
 
 
-def _grey(profile: bytes) -> ColorSpace | None:
-    """The colour space of a grey profile, whose curve is to luminance."""
-    tags = _tags(profile)
-    if b"kTRC" not in tags or profile[20:24] != b"XYZ ":
-        return None
-    return ColorSpace(_description(tags), (_checked(_curve(tags[b"kTRC"])),) * 3)
-
-
 def _tags(profile: bytes) -> dict[bytes, bytes]:
     (count,) = struct.unpack_from(">I", profile, 128)
     if count > 200:
         raise ValueError("too many tags")
     table = [struct.unpack_from(">4sII", profile, 132 + 12 * i) for i in range(count)]
     return {name: profile[offset : offset + size] for name, offset, size in table}
-
-
-def _xyz(tag: bytes) -> Values:
-    return np.array(struct.unpack_from(">3i", tag, 8)) / 65536.0
 
 
 def _curve(tag: bytes) -> Curve:
@@ -206,22 +195,15 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
     except (ImageCms.PyCMSError, OSError, ValueError):
         return None
     decode = SRGB.lineariser(np.dtype(np.uint8))
-    to_8_bits = _to_8_bits(dtype)
+    scale = 255.0 / largest_code(dtype)
 
     def linearise(rows: NDArray[np.generic]) -> NDArray[np.float32]:
-        codes = to_8_bits(rows if mode != "L" else rows[..., 0])
-        strip = Image.fromarray(np.ascontiguousarray(codes))
+        codes = (rows if mode != "L" else rows[..., 0]).astype(np.float32) * scale
+        strip = Image.fromarray(np.ascontiguousarray(np.rint(codes.clip(0, 255)), np.uint8))
         converted = ImageCms.applyTransform(strip, transform)
         return decode(np.asarray(converted))
 
     return linearise
-
-
-def _to_8_bits(
-    dtype: np.dtype[np.generic],
-) -> Callable[[NDArray[np.generic]], NDArray[np.uint8]]:
-    scale = 255.0 / largest_code(dtype)
-    return lambda rows: np.rint(np.clip(rows.astype(np.float32) * scale, 0, 255)).astype(np.uint8)
 
 
 # The colour space that an image file states: by ICC profile, code points, Exif or chunks.

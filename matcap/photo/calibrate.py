@@ -299,5 +299,7 @@ def card_sentence(calibration: Calibration | None) -> str:
     if calibration.matrix is None:
         sentences.append("no ColorChecker in a RAW, so albedo is relative.")
     else:
-        sentences.append(f"colours within {calibration.residual:.1%}, albedo absolute.")
+        sentences.append(
+            f"colours within {100.0 * (calibration.residual or 0.0):.1f} %, albedo absolute."
+        )
     return " ".join(sentences)

@@ -96,7 +96,6 @@ class QualityCheck:
 
     key: str
     measures: str
-    """Name of the measurement."""
     unit: str
     limits: tuple[float, ...]
     """Values at severity 1, 2 and 3; decreasing where less is worse. A check of a set has one, the
@@ -170,15 +169,14 @@ class Cause:
     """A cause of a poor capture that the photograph shows, by a measurement of its own."""
 
     name: str
-    """Name in the report."""
     measures: str
-    """Name of the measurement."""
     none: float
     """Its value without this cause."""
     limit: float
     """Value from which the cause is reported."""
     says: str
-    """Message, formatted with `value`, `percent`, `share` (at most 1) and `ratio` (exp(value))."""
+    """Message, formatted with `value`, `percent`, `share` (percent, at most 100) and `ratio`,
+    exp(value)."""
     remedy: str
     """What will help."""
     explains: frozenset[str]
@@ -191,7 +189,8 @@ class Cause:
     def described(self, value: float) -> Cause:
         """The cause with its message formatted."""
         ratio = math.exp(min(value, 99.0))  # of logarithms, which are smaller
-        words = {"value": value, "percent": 100.0 * value, "share": min(value, 1.0), "ratio": ratio}
+        percent = 100.0 * value
+        words = {"value": value, "percent": percent, "share": min(percent, 100.0), "ratio": ratio}
         return replace(self, says=self.says.format(**words))
 
 
@@ -292,7 +291,7 @@ _TABLE = (
     ),
     QualityCheck(
         "overlap", "share of the sample that only one photograph shows", "", (0.25,),
-        "{shared:.0%} of the sample is in two photographs or more.",
+        "{shared:.0f} % of the sample is in two photographs or more.",
         remedy="Aim the phone at the middle of the sample each time, so that all of it is in the "
         "picture.",
     ),
@@ -344,7 +343,7 @@ _TABLE = (
     ),
     QualityCheck(
         "pattern", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
-        "the pattern is {kept:.0%} as regular as in the photograph",
+        "the pattern is {kept:.0f} % as regular as in the photograph",
         "cells or lines are broken, which small patches cut and decoders cannot draw",
         "capture with --generator example, or synthesise with a lower --variety", "pattern broken",
         unknown="the photograph shows no lattice",
@@ -404,7 +403,7 @@ _CAUSES = (
     ),
     Cause(
         "room light", "uniform radiance over that of dark parts", 0.0, 0.25,
-        "{share:.0%} of the light in the dark parts is room light, not the flash's", _DARK,
+        "{share:.0f} % of the light in the dark parts is room light, not the flash's", _DARK,
         # A highlight of the wrong contrast looks like ambient light.
         _OF_LIGHT - {"highlight_contrast"},
     ),

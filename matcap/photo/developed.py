@@ -27,15 +27,7 @@ from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.hdr_gain_map import HdrGainMap, applied
 from matcap.photo.left_out import Rows, area_averaged, shrink, shrunk_size
-from matcap.photo.photo import (
-    UNSTATED,
-    WITH_GAIN_MAP,
-    Decoded,
-    Development,
-    Photo,
-    ToneCurve,
-    check_size,
-)
+from matcap.photo.photo import WITH_GAIN_MAP, Decoded, Development, Photo, ToneCurve, check_size
 
 _LOSSY = (FileKind.JPEG, FileKind.WEBP, FileKind.AVIF, FileKind.HEIC)
 _LOSSY_CLIP = 254.0 / 255.0  # as lossy coding may decode 255 to 254
@@ -251,8 +243,7 @@ def decode(coded: Coded, long_side: int | None, tone: ToneCurve | None = None) -
     photo = Photo(
         pixels,
         clipped,
-        *UNSTATED,
-        (width, height),
+        original_size=(width, height),
         notes=coded.notes + notes + transparent + ((applied(gain_map),) if gain_map else ()),
         stored_clipped_share=at_limit / (width * height),
         tone=tone,

@@ -9,10 +9,9 @@ reduction matrices are ignored.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from matcap.files.stated_color import StatedColor
 from matcap.photo import raw_samples
 from matcap.photo.developed import decode, light
 from matcap.photo.photo import Decoded, check_size
-from matcap.photo.raw_samples import VALUE_MAPPING, Opcodes, parse_opcodes
+from matcap.photo.raw_samples import VALUE_MAPPING, Opcodes, Tags, finite_numbers, parse_opcodes
 
 Matrix = NDArray[np.float64]
 
@@ -62,7 +61,7 @@ class DngColor:
     """Note to the user if the file states no neutral, or ""."""
 
 
-def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
+def dng_color(tags: Tags) -> DngColor | None:
     """Compute a DNG's conversion; None if it has no matrix for three colours.
 
     Args:
@@ -74,7 +73,8 @@ def dng_color(tags: Mapping[int, Any]) -> DngColor | None:
     camera = _Camera.of(tags)
     if camera is None:
         return None
-    neutral, stated = _numbers(tags, Tag.AsShotNeutral, 3), _numbers(tags, Tag.AsShotWhiteXY, 2)
+    neutral = finite_numbers(tags, Tag.AsShotNeutral, 3)
+    stated = finite_numbers(tags, Tag.AsShotWhiteXY, 2)
     note = ""
     if neutral is not None and neutral.min() > 0.0:
         white = camera.white_of(neutral)
@@ -105,23 +105,20 @@ class _Camera:
     """Matrices from the white-balanced reference camera to XYZ relative to D50, or None."""
 
     @staticmethod
-    def of(tags: Mapping[int, Any]) -> _Camera | None:
+    def of(tags: Tags) -> _Camera | None:
         color = [_matrix(tags, tag) for tag in _COLOR]
-        known = [
-            _KELVIN.get(int(raw_samples.numbers(tags, tag, (-1.0,))[0]), 0.0)
-            for tag in _ILLUMINANTS
-        ]
+        stated = [int(raw_samples.numbers(tags, tag, (-1.0,))[0]) for tag in _ILLUMINANTS]
+        known = [_KELVIN.get(illuminant, 0.0) for illuminant in stated]
         # Two matrices are used only if both illuminants are known and differ.
         both = color[1] is not None and min(known) > 0.0 and known[0] != known[1]
         kept = [i for i in (0, 1) if color[i] is not None][: 2 if both else 1]
         if not kept:
             return None
-        gains = _numbers(tags, Tag.AnalogBalance, 3)
+        gains = finite_numbers(tags, Tag.AnalogBalance, 3)
         balance = np.eye(3) if gains is None or gains.min() <= 0.0 else np.diag(gains)
         signatures = [_text(tags, tag) for tag in _SIGNATURES]
-        calibrations = [
-            _matrix(tags, tag) if signatures[0] == signatures[1] else None for tag in _CALIBRATION
-        ]
+        same = signatures[0] == signatures[1]
+        calibrations = [_matrix(tags, tag) if same else None for tag in _CALIBRATION]
         own = [balance @ (np.eye(3) if c is None else c) for c in calibrations]
         forward = [_matrix(tags, tag) for tag in _FORWARD]
         whole = all(forward[i] is not None for i in kept)
@@ -186,19 +183,12 @@ def temperature(white: tuple[float, float]) -> float:
     return float(np.clip(((449.0 * n + 3525.0) * n + 6823.3) * n + 5520.33, 1500.0, 50_000.0))
 
 
-def _numbers(tags: Mapping[int, Any], tag: int, count: int) -> Matrix | None:
-    """So many numbers of a tag; None if it is absent, has others, or a rational over 0."""
-    with np.errstate(all="ignore"):
-        values = raw_samples.numbers(tags, tag, ())
-    return values if len(values) == count and np.isfinite(values).all() else None
-
-
-def _matrix(tags: Mapping[int, Any], tag: int) -> Matrix | None:
-    values = _numbers(tags, tag, 9)
+def _matrix(tags: Tags, tag: int) -> Matrix | None:
+    values = finite_numbers(tags, tag, 9)
     return None if values is None or not values.any() else values.reshape(3, 3)
 
 
-def _text(tags: Mapping[int, Any], tag: int) -> bytes:
+def _text(tags: Tags, tag: int) -> bytes:
     value = tags[tag].value if tag in tags else b""
     return (value.encode() if isinstance(value, str) else bytes(value)).rstrip(b"\0")
 
@@ -242,6 +232,7 @@ def read_corrections(path: Path) -> Corrections:
         page = raw_samples.raw_page(file)
         if page is None:
             return Corrections()
+        check_size(path, page.imagewidth, page.imagelength)  # LibRaw calls small ones damaged
         pattern = raw_samples.unsupported_pattern(page)
         if pattern and int(page.photometric) == raw_samples.CFA:
             raise unsupported(path, f"a DNG whose mosaic repeats by {pattern} photosites")
@@ -279,7 +270,7 @@ def read_corrections(path: Path) -> Corrections:
         )
 
 
-def _active_area(page: Any) -> tuple[int, int, int, int] | None:  # noqa: ANN401
+def _active_area(page: raw_samples.TiffPage) -> tuple[int, int, int, int] | None:
     if Tag.ActiveArea not in page.tags:
         return None
     top, left, bottom, right = (int(edge) for edge in page.tags[Tag.ActiveArea].value)
@@ -306,8 +297,7 @@ def read_float_dng(
     if color is None or corrections.has_maps:
         raise unsupported(path, "a float DNG without a colour matrix, or with gain maps")
     with decoding(path, "DNG"), tifffile.TiffFile(path) as file:
-        page: Any = raw_samples.raw_page(file)
-        check_size(path, page.imagewidth, page.imagelength)
+        page: raw_samples.TiffPage = raw_samples.raw_page(file)
         if int(page.compression) != 1:
             raw_samples.check_codecs(path)
         samples = raw_samples.normalised(page)

@@ -183,9 +183,8 @@ def _of_xmp(xmp: bytes, name: bytes) -> int:
 
 
 def _exposure(tags: dict[str, Any]) -> float | None:
-    time = _ratio(tags, "EXIF ExposureTime")
-    sensitivity = _ratio(tags, "EXIF ISOSpeedRatings")
-    aperture = _ratio(tags, "EXIF FNumber")
+    names = ("ExposureTime", "ISOSpeedRatings", "FNumber")
+    time, sensitivity, aperture = (_ratio(tags, f"EXIF {name}") for name in names)
     if time is None or sensitivity is None or aperture is None:
         return None
     return time * sensitivity / aperture**2

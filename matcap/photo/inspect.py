@@ -204,7 +204,7 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     elif equal > _EQUAL:
         what = (
             "the picture looks like a screenshot or a drawing, or is far overexposed: "
-            f"{equal:.0%} of its pixels are exactly as others a 32nd of the width away"
+            f"{100.0 * equal:.0f} % of its pixels are exactly as others a 32nd of the width away"
         )
         why, do = "no photograph of a material has as many", original
     elif (
@@ -255,7 +255,8 @@ def _border(photo: Photo) -> tuple[Finding, ...]:
 
 def _hot_spot(photo: Photo, place: tuple[float, float]) -> Finding:
     x, y = _upright(photo, *place)
-    says = f"{whereabouts(x, y)}, at {x:.0%} from the left and {y:.0%} from above"
+    across, down = 100.0 * x, 100.0 * y
+    says = f"{whereabouts(x, y)}, at {across:.0f} % from the left and {down:.0f} % from above"
     finding = CHECKS["hot_spot"].finding(min(x, 1.0 - x, y, 1.0 - y), where=says)
     return replace(finding, value=[round(x, 4), round(y, 4)])
 

@@ -119,15 +119,15 @@ class Photo:
     Light above white is measured where `clipped` is False."""
     clipped: NDArray[np.bool_]
     """(H, W) bool, pixels of which a channel reached the clip level, `headroom`."""
-    fov: float
+    fov: float = math.nan
     """Field of view across the long side, degrees."""
-    fov_source: str
+    fov_source: str = "assumed"
     """"exif", "assumed" or "given"."""
-    radiometric: bool
+    radiometric: bool = False
     """Whether values are proportional to radiance (RAW only)."""
-    name: str
+    name: str = ""
     """File name without folder."""
-    original_size: tuple[int, int]
+    original_size: tuple[int, int] = (0, 0)
     """(width, height) of the file's upright picture, before resizing."""
     turned: bool = False
     """Whether the photograph is a portrait, rotated by 90 degrees counterclockwise to landscape."""
@@ -214,10 +214,6 @@ class Photo:
         if self.stored_clipped_share is not None:
             return self.stored_clipped_share
         return float(self.clipped.mean())
-
-
-# Field of view, its source, whether radiometric, and name, of a file whose metadata are not read.
-UNSTATED = (math.nan, "assumed", False, "")
 
 
 @dataclass(frozen=True)

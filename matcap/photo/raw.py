@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from matcap.errors import MatcapError
 from matcap.files.containers import decoding, unreadable
 from matcap.photo.dng import Corrections
 from matcap.photo.left_out import Rows, shrink
-from matcap.photo.photo import UNSTATED, Decoded, Photo, check_size
+from matcap.photo.photo import Decoded, Photo, check_size
 from matcap.photo.raw_samples import GainMap, Shading, centre_colours, plain_dng
 
 # Sensor noise: estimated from the mosaic, and sampled.
@@ -108,7 +108,7 @@ def _tiles(mosaic: NDArray[np.uint16]) -> list[NDArray[np.uint16]]:
     """At most _TILES tiles, evenly spread, aligned with the pattern."""
     height, width = (side // 2 * 2 for side in mosaic.shape)
     rows, columns = (max(1, side // _TILE) for side in (height, width))
-    places = [(row, column) for row in range(rows) for column in range(columns)]
+    places = list(product(range(rows), range(columns)))
     every = -(-len(places) // _TILES)
     tall, wide = min(_TILE, height), min(_TILE, width)
     return [
@@ -124,10 +124,9 @@ def _measured(
     numbers = tile.astype(np.float32)
     signal = numbers - _tiled(black, tile.shape)
     smooth = np.empty_like(signal)
-    for row in (0, 1):
-        for column in (0, 1):
-            sites = np.s_[row::2, column::2]
-            smooth[sites] = cv2.GaussianBlur(signal[sites], (0, 0), _SMOOTH)
+    for row, column in product((0, 1), repeat=2):
+        sites = np.s_[row::2, column::2]
+        smooth[sites] = cv2.GaussianBlur(signal[sites], (0, 0), _SMOOTH)
     smooth = np.maximum(smooth, np.float32(_DARKEST * (white - black.max())))
     checker = cv2.filter2D(signal / smooth, -1, _CHECKER)
     shot, read = (cv2.filter2D(smooth**-power, -1, _CHECKER**2) for power in (1, 2))
@@ -193,6 +192,8 @@ def _tiled(black: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.flo
 # colour conversion and downsampling on it need no model.
 
 # Share of the white level from which on photosites count as clipped; they saturate a little below.
+LibRaw = Any  # an open rawpy.RawPy, which has no types
+Balance = tuple[float, float, float]
 CLIP_SHARE = 0.99
 _FULL = 65535  # code values
 _AVERAGED = 6.0  # downsampling factor from which on noise is neglected
@@ -235,13 +236,13 @@ def read_raw(
         orientation = _ORIENTATION[raw.sizes.flip]
         balance, unstated = _balance(raw, corrections)
         saturated, share = _saturated(raw, balance, bayer, half)
-        noisy = _noisy(raw) if bayer and noise and reduced < _AVERAGED else None
+        mosaic = _noisy(raw) if bayer and noise and reduced < _AVERAGED else None
         developed, headroom = _develop(raw, corrections, balance, half)
     again = None
-    if noisy is not None:
+    if mosaic is not None:
         # Opened again, as developing changes the mosaic that LibRaw returns.
         with decoding(path, "RAW"), _opened(path, rewritten) as raw:
-            raw.raw_image_visible[...] = noisy
+            raw.raw_image_visible[...] = mosaic
             again, _ = _develop(raw, corrections, balance, half)
     if developed.shape != (*saturated.shape, 3):
         raise MatcapError.at(
@@ -267,26 +268,23 @@ def read_raw(
 
     size = developed.shape[1], developed.shape[0]
     pixels, clipped = shrink(partial(rows_of, developed), *size, long_side)
-    drawn = None
-    if again is not None:
-        noisy_pixels, _ = shrink(partial(rows_of, again), *size, long_side)
-        drawn = noisy_pixels - pixels
+    noisy = None if again is None else shrink(partial(rows_of, again), *size, long_side)[0]
     photo = Photo(
         pixels,
         clipped,
-        *UNSTATED,
-        (width, height),
+        radiometric=True,
+        original_size=(width, height),
         gain_map_applied=corrections.has_maps,
         notes=corrections.notes + ((unstated,) if unstated else ()),
         stored_clipped_share=share,
-        noise=drawn,
+        noise=None if noisy is None else noisy - pixels,
         balance=balance,
     )
     whole = corrections.crop.sizes[1] if corrections.crop else None
-    return Decoded(replace(photo, radiometric=True), orientation, whole=whole)
+    return Decoded(photo, orientation, whole=whole)
 
 
-def _shown(raw: Any, corrections: Corrections) -> tuple[slice, slice]:  # noqa: ANN401
+def _shown(raw: LibRaw, corrections: Corrections) -> tuple[slice, slice]:
     """Rows and columns of LibRaw's visible area that are the picture."""
     sizes = raw.sizes
     rows, columns = slice(0, sizes.height), slice(0, sizes.width)
@@ -301,7 +299,7 @@ def _shown(raw: Any, corrections: Corrections) -> tuple[slice, slice]:  # noqa: 
     return rows, columns
 
 
-def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
+def _noisy(raw: LibRaw) -> NDArray[np.uint16] | None:
     """The mosaic with an independent sample of its noise added; None if it is unknown."""
     mosaic = raw.raw_image_visible
     black = np.array(raw.black_level_per_channel, np.float64)[raw.raw_colors_visible[:2, :2]]
@@ -310,10 +308,7 @@ def _noisy(raw: Any) -> NDArray[np.uint16] | None:  # noqa: ANN401
 
 
 def _develop(
-    raw: Any,  # noqa: ANN401
-    corrections: Corrections,
-    balance: tuple[float, float, float],
-    half: bool,
+    raw: LibRaw, corrections: Corrections, balance: Balance, half: bool
 ) -> tuple[NDArray[np.uint16], float]:
     """(H, W, 3), or half its size, linear; and the value that _FULL stands for, 1 at white."""
     import rawpy
@@ -336,7 +331,7 @@ def _develop(
     return developed, headroom
 
 
-def _opened(path: Path, rewritten: bytes | None) -> Any:  # noqa: ANN401
+def _opened(path: Path, rewritten: bytes | None) -> LibRaw:
     """A RAW file opened by LibRaw, or what it has been rewritten to."""
     import rawpy
 
@@ -350,7 +345,7 @@ def _opened(path: Path, rewritten: bytes | None) -> Any:  # noqa: ANN401
         ) from error
 
 
-def _check_levels(path: Path, raw: Any) -> None:  # noqa: ANN401
+def _check_levels(path: Path, raw: LibRaw) -> None:
     if raw.num_colors != 3:
         raise MatcapError.at(
             path,
@@ -362,10 +357,7 @@ def _check_levels(path: Path, raw: Any) -> None:  # noqa: ANN401
 
 
 def _saturated(
-    raw: Any,  # noqa: ANN401
-    balance: tuple[float, float, float],
-    bayer: bool,
-    half: bool,
+    raw: LibRaw, balance: Balance, bayer: bool, half: bool
 ) -> tuple[NDArray[np.bool_], float]:
     """(H, W) mask, or half its size, of developed pixels that depend on clipped photosites.
 
@@ -383,28 +375,20 @@ def _saturated(
     period = 2 if bayer else 6
     mask = np.empty(mosaic.shape, np.uint8)
     at_limit, sites_of = np.zeros(4), np.zeros(4)
-    for row in range(period):
-        for column in range(period):
-            sites = np.s_[row::period, column::period]
-            color = colors[row, column]
-            mask[sites] = mosaic[sites] >= limit[color]
-            at_limit[color] += np.count_nonzero(mask[sites])
-            sites_of[color] += mask[sites].size
+    for row, column in product(range(period), repeat=2):
+        sites, color = np.s_[row::period, column::period], colors[row, column]
+        mask[sites] = mosaic[sites] >= limit[color]
+        at_limit[color] += np.count_nonzero(mask[sites])
+        sites_of[color] += mask[sites].size
     share = float((at_limit / np.maximum(sites_of, 1.0)).max())
     touched = np.asarray(cv2.dilate(mask, np.ones((3, 3), np.uint8)), np.uint8)
-    return _two_by_two(touched) if half else touched.astype(np.bool_), share
+    if half:  # a pixel of the result is 2 x 2 of these
+        rows, columns = (side // 2 * 2 for side in touched.shape)
+        touched = touched[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).max(axis=(1, 3))
+    return touched.astype(np.bool_), share
 
 
-def _two_by_two(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Logical or over 2 x 2 pixels."""
-    even = mask[: mask.shape[0] // 2 * 2, : mask.shape[1] // 2 * 2]
-    return (even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]) > 0
-
-
-def _balance(
-    raw: Any,  # noqa: ANN401
-    corrections: Corrections,
-) -> tuple[tuple[float, float, float], str]:
+def _balance(raw: LibRaw, corrections: Corrections) -> tuple[Balance, str]:
     """White-balance gains of red, green and blue, the least 1; and a note to the user, or ""."""
     note = ""
     if corrections.color is not None:
@@ -425,33 +409,30 @@ def _balance(
     return (red / least, green / least, blue / least), note
 
 
-def _knows_colours(raw: Any) -> bool:  # noqa: ANN401
+def _knows_colours(raw: LibRaw) -> bool:
     """Whether LibRaw has a colour matrix of this camera."""
     own = np.asarray(raw.color_matrix)[:, :3]
     return bool(np.any(raw.rgb_xyz_matrix) or (np.any(own) and not np.allclose(own, np.eye(3))))
 
 
-def _positive(balance: Sequence[float]) -> tuple[float, float, float] | None:
+def _positive(balance: Sequence[float]) -> Balance | None:
     """The first three factors, if positive; LibRaw returns zeros if unknown."""
     red, green, blue = balance[:3]
     return (red, green, blue) if min(red, green, blue) > 0 else None
 
 
-def _shading(maps: tuple[GainMap, ...], corrections: Corrections, raw: Any) -> Shading:  # noqa: ANN401
+def _shading(maps: tuple[GainMap, ...], corrections: Corrections, raw: LibRaw) -> Shading:
     """Gain maps for LibRaw's visible area, which may begin a pixel after the active area."""
     sizes = raw.sizes
     size = (sizes.height, sizes.width)
     visible = (sizes.top_margin, sizes.left_margin)
-    top, left, bottom, right = corrections.active_area or (
-        *visible,
-        visible[0] + size[0],
-        visible[1] + size[1],
-    )
+    whole = (*visible, visible[0] + size[0], visible[1] + size[1])
+    top, left, bottom, right = corrections.active_area or whole
     offset = (visible[0] - top, visible[1] - left)
     return Shading(maps, (bottom - top, right - left), size, offset)
 
 
-def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  # noqa: ANN401
+def _prepare(raw: LibRaw, corrections: Corrections) -> tuple[float, int | None]:
     """Apply lens shading to the mosaic in place.
 
     OpcodeList3's maps are defined for the demosaiced picture. As they vary slowly, they are applied
@@ -475,7 +456,7 @@ def _prepare(raw: Any, corrections: Corrections) -> tuple[float, int | None]:  #
     white_at = raw.white_level - black.min()
     stretch = (_FULL - black.max()) / (white_at * headroom)
     colors = raw.raw_colors_visible if flat else None
-    step = max(1, (1 << 20) // samples.shape[1])
+    step = max(1, _STRIP_PHOTOSITES // samples.shape[1])
     for top in range(0, samples.shape[0], step):
         bottom = min(top + step, samples.shape[0])
         gains = after.gains(top, bottom, 3)

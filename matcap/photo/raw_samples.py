@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,10 @@ from numpy.typing import NDArray
 from matcap.errors import MatcapError
 from matcap.files.containers import Tag, check_pixels, decoding, missing_extra, unreadable
 
+# tifffile's, which has no types.
+TiffFile = Any
+TiffPage = Any
+Tags = Mapping[int, Any]  # of TIFF, by number
 CFA, LINEAR_RAW = 32803, 34892  # photometric interpretations (DNG 1.7)
 JPEG_XL, _LOSSY_JPEG, _NONE = 52546, 34892, 1  # compressions
 FLOATING = 3  # a SampleFormat
@@ -48,17 +52,11 @@ _LARGEST_PATTERN = 64  # photosites a side, of black levels; a damaged file may 
 _PATTERNS = ((2, 2), (6, 6))  # of mosaics: Bayer, X-Trans
 
 
-def raw_page(file: Any) -> Any | None:  # noqa: ANN401
+def raw_page(file: TiffFile) -> TiffPage | None:
     """The largest raw picture of an open tifffile.TiffFile, or None."""
-    pages = islice(_pages(file), _MOST_PAGES)
-    raws = [page for page in pages if int(page.photometric) in (CFA, LINEAR_RAW)]
+    pages = chain.from_iterable(chain((page,), page.pages or ()) for page in file.pages)
+    raws = [p for p in islice(pages, _MOST_PAGES) if int(p.photometric) in (CFA, LINEAR_RAW)]
     return max(raws, key=lambda page: page.imagewidth * page.imagelength, default=None)
-
-
-def _pages(file: Any) -> Iterator[Any]:  # noqa: ANN401
-    for page in file.pages:
-        yield page
-        yield from page.pages or ()
 
 
 def plain_dng(path: Path, maps: tuple[ValueMap, ...] | None) -> bytes:
@@ -100,9 +98,7 @@ def plain_dng(path: Path, maps: tuple[ValueMap, ...] | None) -> bytes:
             )
         planes = samples[..., None].shape[2]
         stated = [(c, int(tags[c].dtype), tags[c].count, tags[c].value, True) for c in sorted(kept)]
-        stated += [
-            (code, _SHORT, planes, (level,) * planes, True) for code, level in levels.items()
-        ]
+        stated += [(c, _SHORT, planes, (level,) * planes, True) for c, level in levels.items()]
         plain = io.BytesIO()
         tifffile.imwrite(
             plain,
@@ -125,14 +121,12 @@ def check_codecs(path: Path) -> None:
         raise missing_extra(path, form, "jxl") from error
 
 
-def needs_normalising(page: Any, has_value_maps: bool) -> bool:  # noqa: ANN401
+def needs_normalising(page: TiffPage, has_value_maps: bool) -> bool:
     """Whether LibRaw would misread the samples of a raw picture of whole numbers."""
     top, left, *_ = _whole(page.tags, Tag.ActiveArea, (0, 0))
     repeat = tuple(_whole(page.tags, Tag.BlackLevelRepeatDim, (1, 1)))
-    black, white = (
-        numbers(page.tags, Tag.BlackLevel, (0.0,)),
-        numbers(page.tags, Tag.WhiteLevel, (65535.0,)),
-    )
+    black = numbers(page.tags, Tag.BlackLevel, (0.0,))
+    white = numbers(page.tags, Tag.WhiteLevel, (65535.0,))
     spread = float(np.ptp(black)) / max(float(white.min() - black.max()), 1.0)
     odd = (top | left) % 2 == 1 or int(page.samplesperpixel) > 1
     return bool(
@@ -147,13 +141,13 @@ def needs_normalising(page: Any, has_value_maps: bool) -> bool:  # noqa: ANN401
     )
 
 
-def unsupported_pattern(page: Any) -> str:  # noqa: ANN401
+def unsupported_pattern(page: TiffPage) -> str:
     """What a mosaic's pattern is, such as "4 x 4", if it is not supported; else ""."""
     size = tuple(_whole(page.tags, Tag.CFARepeatPatternDim, _PATTERNS[0]))
     return "" if size in _PATTERNS else " x ".join(map(str, size))
 
 
-def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32]:  # noqa: ANN401
+def normalised(page: TiffPage, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32]:
     """(H, W) or (H, W, C) samples of the active area; black is 0, white 1 (DNG 1.7.1, chapter 5).
 
     Raises:
@@ -175,10 +169,8 @@ def normalised(page: Any, maps: tuple[ValueMap, ...] = ()) -> NDArray[np.float32
     pattern = np.resize(numbers(page.tags, Tag.BlackLevel, (0.0,)), rows * columns * planes)
     pattern = pattern.reshape(rows, columns, planes).astype(np.float32)
     black = pattern[np.arange(height)[:, None] % rows, np.arange(width)[None] % columns]
-    across, down = (
-        numbers(page.tags, tag, (0.0,)).astype(np.float32)
-        for tag in (Tag.BlackLevelDeltaH, Tag.BlackLevelDeltaV)
-    )
+    across = numbers(page.tags, Tag.BlackLevelDeltaH, (0.0,)).astype(np.float32)
+    down = numbers(page.tags, Tag.BlackLevelDeltaV, (0.0,)).astype(np.float32)
     if len(across) not in (1, width) or len(down) not in (1, height):
         raise ValueError("black levels by row or column that do not fit")
     black = black + across[None, :, None] + down[:, None, None]
@@ -243,7 +235,7 @@ class Crop:
         return shown, whole
 
 
-def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
+def crop_of(page: TiffPage, tags: Tags) -> Crop | None:
     """The crop that a DNG states; None where it is all of the active area, or is not inside.
 
     Args:
@@ -254,9 +246,8 @@ def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
     left, top = np.rint(_known(tags, Tag.DefaultCropOrigin, (0.0, 0.0))).astype(int).tolist()
     rest = (width - left, height - top)
     across, down = np.rint(_known(tags, Tag.DefaultCropSize, rest)).astype(int).tolist()
-    if not (min(top, left) >= 0 and min(across, down) > 0):
-        return None
-    if top + down > height or left + across > width:
+    fits = top + down <= height and left + across <= width
+    if not (fits and min(top, left) >= 0 and min(across, down) > 0):
         return None
     edges = _known(tags, Tag.DefaultUserCrop, (0.0, 0.0, 1.0, 1.0))
     if not 0.0 <= edges[0] < edges[2] <= 1.0 or not 0.0 <= edges[1] < edges[3] <= 1.0:
@@ -271,7 +262,7 @@ def crop_of(page: Any, tags: Mapping[int, Any]) -> Crop | None:  # noqa: ANN401
     return Crop(whole, shown, bool(off < 1e-3))
 
 
-def numbers(tags: Any, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:  # noqa: ANN401
+def numbers(tags: Tags, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:
     """(n,) values of a tag among TIFF tags; quotients of rationals; `none` where it is absent."""
     entry = tags.get(tag)
     if entry is None:
@@ -280,23 +271,27 @@ def numbers(tags: Any, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]
     return values[0::2] / values[1::2] if int(entry.dtype) in _RATIONALS else values
 
 
-def _known(tags: Any, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:  # noqa: ANN401
+def _known(tags: Tags, tag: int, none: tuple[float, ...]) -> NDArray[np.float64]:
     """Values of a tag, or `none` where they are of another number, or not finite."""
+    values = finite_numbers(tags, tag, len(none))
+    return np.array(none) if values is None else values
+
+
+def finite_numbers(tags: Tags, tag: int, count: int) -> NDArray[np.float64] | None:
+    """So many numbers of a tag; None if it is absent, has others, or a rational over 0."""
     with np.errstate(all="ignore"):
-        values = numbers(tags, tag, none)
-    return values if values.size == len(none) and np.isfinite(values).all() else np.array(none)
+        values = numbers(tags, tag, ())
+    return values if len(values) == count and np.isfinite(values).all() else None
 
 
-def _whole(tags: Any, tag: int, none: tuple[int, ...]) -> list[int]:  # noqa: ANN401
+def _whole(tags: Tags, tag: int, none: tuple[int, ...]) -> list[int]:
     return [int(number) for number in numbers(tags, tag, none)]
 
 
-def _factors(page: Any) -> tuple[int, int]:  # noqa: ANN401
-    rows, columns = (
-        max(_whole(page.tags, tag, (1,))[0], 1)
-        for tag in (Tag.RowInterleaveFactor, Tag.ColumnInterleaveFactor)
-    )
-    return rows, columns
+def _factors(page: TiffPage) -> tuple[int, int]:
+    tags = page.tags
+    rows = max(_whole(tags, Tag.RowInterleaveFactor, (1,))[0], 1)
+    return rows, max(_whole(tags, Tag.ColumnInterleaveFactor, (1,))[0], 1)
 
 
 # Opcodes of a DNG's raw picture: GainMap, which is lens shading, MapTable and MapPolynomial.

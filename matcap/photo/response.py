@@ -53,25 +53,11 @@ class ExposureRatio:
     """Root-mean-square of the log ratio of tones about the fit."""
 
 
-@dataclass(frozen=True)
-class Tones:
-    """What is known of the tone curve of one of the two pictures."""
-
-    linear: bool
-    """Whether its values are proportional to light."""
-    prior: Development
-    """Prior of its curve, if it is not linear."""
-
-
-@dataclass(frozen=True)
-class UsableTones:
-    """Values that are compared."""
-
-    least: float = 0.0
-    most: float = math.inf
-    """Limits of the brighter picture's."""
-    least_of_darker: float = 0.0
-    """Limit of the darker picture's, whose codes are coarse."""
+Tones = tuple[Development | None, Development | None]
+"""Prior of the curve of each picture; None where values are proportional to light."""
+Limits = tuple[float, float, float]
+"""Values that are compared: the least and the largest of the brighter picture, and the least of the
+darker one, whose codes are coarse."""
 
 
 def faintest_value(photo: Photo) -> float:
@@ -94,66 +80,63 @@ def ratio_of_exposures(
     """
     pair = brighter, darker
     known = [(curve if photo.tone_mapped else None) or ToneCurve() for photo in pair]
-    limits = (
-        known[0].linear(np.array(faintest_value(brighter))),
-        known[0].linear(np.array(_BRIGHTEST * min(brighter.headroom, 1e30))),
-        known[1].linear(np.array(faintest_value(darker))),
-    )
-    values = [
-        by.linear(np.asarray(each, np.float64)) for by, each in zip(known, pixels, strict=True)
-    ]
+    y, z = (by.linear(np.asarray(each, np.float64)) for by, each in zip(known, pixels, strict=True))
     first, second = (
-        Tones(curve is not None or not photo.tone_mapped, photo.development) for photo in pair
+        photo.development if curve is None and photo.tone_mapped else None for photo in pair
     )
     stated = None
     if brighter.exposure is not None and darker.exposure is not None:
         stated = darker.exposure / brighter.exposure
-    usable = UsableTones(*(float(limit) for limit in limits))
-    return fit_ratio(values[0], values[1], (first, second), stated, usable)
+    limits = (
+        float(known[0].linear(np.array(faintest_value(brighter)))),
+        float(known[0].linear(np.array(_BRIGHTEST * min(brighter.headroom, 1e30)))),
+        float(known[1].linear(np.array(faintest_value(darker)))),
+    )
+    return fit_ratio(y, z, (first, second), stated, limits)
 
 
 def fit_ratio(
     brighter: Values,
     darker: Values,
-    tones: tuple[Tones, Tones],
+    tones: Tones,
     stated: float | None,
-    usable: UsableTones | None = None,
+    limits: Limits = (0.0, math.inf, 0.0),
 ) -> ExposureRatio | None:
     """Fit the ratio of exposures, and curves if there are any; None with too few tones in common.
 
     Args:
         brighter, darker: (n, channels) values of the same places, clipped ones too, as their ranks
             count.
-        tones: what is known of each.
+        tones: prior of each one's curve.
         stated: k by metadata, or None.
-        usable: tones that are compared; None for all.
+        limits: of the values that are compared.
     """
-    usable = usable or UsableTones()
     channels = zip(brighter.T, darker.T, strict=True)
-    pairs = [pair for each in channels if (pair := _matched(*each, usable)) is not None]
+    pairs = [pair for each in channels if (pair := _matched(*each, limits)) is not None]
     if not pairs:
         return None
     y, z = (np.concatenate(values) for values in zip(*pairs, strict=True))
     first, second = tones
-    if first.linear and second.linear:
+    if first is None and second is None:
         steps = np.log(z) - np.log(y)
         log_k = float(np.median(steps))  # the brightest tones are means that clipping lowers
         return ExposureRatio(math.exp(log_k), None, _spread(steps - log_k))
-    if first.linear or second.linear:
+    if first is None or second is None:
         return _against_light(y, z, tones, stated)
-    straight = min(first.prior.shoulder, second.prior.shoulder) == 0.0
-    best: tuple[float, float, float] | None = None
-    for w in [0.0] if straight else _SHOULDERS:
+
+    def fitted(w: float) -> tuple[float, float]:
+        """Mean and root-mean-square deviation of log k to the power c."""
         steps = _power(z, w) - _power(y, w)
         mean = float(steps.mean())
-        spread = _spread(steps - mean)
-        cost = spread**2 + (_TONE_DEVIATION * (w - first.prior.shoulder) / _SHOULDER_DEVIATION) ** 2
-        if best is None or cost < best[0]:
-            best = cost, float(w), mean
-    assert best is not None
-    _, shoulder, mean = best
-    spread = _spread(_power(z, shoulder) - _power(y, shoulder) - mean)
-    exponent = math.exp(first.prior.log_exponent)
+        return mean, _spread(steps - mean)
+
+    def cost(w: float) -> float:
+        return fitted(w)[1] ** 2 + _off_prior(w - first.shoulder, _SHOULDER_DEVIATION)
+
+    straight = min(first.shoulder, second.shoulder) == 0.0
+    shoulder = 0.0 if straight else float(min(_SHOULDERS, key=cost))
+    mean, spread = fitted(shoulder)
+    exponent = math.exp(first.log_exponent)
     if stated is not None and 0.0 < stated < 1.0:
         implied = mean / math.log(stated)
         exponent = implied if _EXPONENTS[0] < implied < _EXPONENTS[1] else exponent
@@ -162,32 +145,34 @@ def fit_ratio(
 
 
 def _against_light(
-    y: Values, z: Values, tones: tuple[Tones, Tones], stated: float | None
+    y: Values, z: Values, tones: Tones, stated: float | None
 ) -> ExposureRatio | None:
     """The ratio of a picture with a curve and one without, by regression for each shoulder.
 
     Of a darker picture with a curve the tones leave w and k open together: the stated k decides.
     """
-    curved_first = not tones[0].linear
-    coded, light = (y, np.log(z)) if curved_first else (z, np.log(y))
-    prior = tones[0].prior if curved_first else tones[1].prior
-    sign = -1.0 if curved_first else 1.0  # of log k in the log of the coded picture's light
+    coded, light, sign = (y, np.log(z), -1.0) if tones[0] else (z, np.log(y), 1.0)
+    # sign is of log k in the log of the coded picture's light.
     known = None if stated is None or not 0.0 < stated < 1.0 else sign * math.log(stated)
-    best: tuple[float, float, float, float] | None = None
-    for w in [0.0] if prior.shoulder == 0.0 else _SHOULDERS:
+    usual = (tones[0] or tones[1] or Development()).shoulder
+    fits = []
+    for w in [0.0] if usual == 0.0 else _SHOULDERS:
         power = _power(coded, w)
         slope, more = _line(light, power, known)
-        cost = _spread(power - slope * (light + more)) ** 2
-        cost += (_TONE_DEVIATION * (w - prior.shoulder) / _SHOULDER_DEVIATION) ** 2
-        if known is not None:
-            cost += (_TONE_DEVIATION * (more - known) / _STATED_DEVIATION) ** 2
-        if slope > 0.0 and (best is None or cost < best[0]):
-            best = cost, float(w), slope, more
-    if best is None or not 0.5 < best[2] < 2.5:
+        spread = _spread(power - slope * (light + more))
+        cost = spread**2 + _off_prior(w - usual, _SHOULDER_DEVIATION)
+        cost += 0.0 if known is None else _off_prior(more - known, _STATED_DEVIATION)
+        if slope > 0.0:
+            fits.append((cost, float(w), slope, more, spread))
+    _, shoulder, exponent, more, spread = min(fits, default=(0.0,) * 5)
+    if not 0.5 < exponent < 2.5:
         return None
-    _, shoulder, exponent, more = best
-    spread = _spread(_power(coded, shoulder) - exponent * (light + more))
     return ExposureRatio(math.exp(sign * more), ToneCurve(exponent, shoulder), spread / exponent)
+
+
+def _off_prior(difference: float, deviation: float) -> float:
+    """Cost of a number's difference from its prior mean, in squared deviations of a tone."""
+    return float((_TONE_DEVIATION * difference / deviation) ** 2)
 
 
 def _line(x: Values, y: Values, known: float | None) -> tuple[float, float]:
@@ -212,7 +197,7 @@ def _power(y: Values, shoulder: float) -> Values:
     return np.asarray(np.log(y) + math.log1p(-shoulder) - np.log1p(-shoulder * y))
 
 
-def _matched(brighter: Values, darker: Values, usable: UsableTones) -> tuple[Values, Values] | None:
+def _matched(brighter: Values, darker: Values, limits: Limits) -> tuple[Values, Values] | None:
     """Values of the brighter picture, evenly spaced in their logarithm, and those of equal rank in
     the darker one; None with too few.
 
@@ -221,13 +206,13 @@ def _matched(brighter: Values, darker: Values, usable: UsableTones) -> tuple[Val
     if brighter.size < _FEWEST:
         return None
     y, z = np.sort(brighter), np.sort(darker)
-    low, high = max(usable.least, y[_FEWEST // 2]), min(usable.most, y[-_FEWEST // 2])
+    low, high = max(limits[0], y[_FEWEST // 2]), min(limits[1], y[-_FEWEST // 2])
     if not 0.0 < low < high:
         return None
     targets = np.geomspace(low, high, _TONES)
     rank = np.searchsorted(y, targets).clip(_FEWEST // 2, y.size - _FEWEST // 2)
     equal = np.array([z[r - _AROUND : r + _AROUND + 1].mean() for r in rank])
-    kept = equal > usable.least_of_darker
+    kept = equal > limits[2]
     if kept.sum() < _LEAST_TONES:
         return None
     return targets[kept], equal[kept]

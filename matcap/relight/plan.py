@@ -285,7 +285,6 @@ class Step:
     """One effect's entry in the plan."""
 
     effect: str
-    """Name of the effect."""
     on: bool
     """Whether it runs."""
     bound: float

@@ -112,12 +112,9 @@ def parse_choice(text: str) -> EffectChoice:
             continue
         sign, name = part[:1], part[1:]
         if sign not in ("+", "-") or name not in EFFECTS:
-            near = difflib.get_close_matches(part.lstrip("+-"), EFFECTS, n=1, cutoff=0.0)[0]
-            raise UsageError.at(
-                "--effects",
-                f"'{part}' is not an effect to switch",
-                f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})",
-            )
+            near = [*difflib.get_close_matches(part.lstrip("+-"), EFFECTS, n=1), "name"][0]
+            remedy = f"give all, none, or +{near} or -{near} (of {', '.join(EFFECTS)})"
+            raise UsageError.at("--effects", f"'{part}' is not an effect to switch", remedy)
         forced[name] = sign == "+"
     return EffectChoice(start, forced)
 

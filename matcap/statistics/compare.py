@@ -126,7 +126,7 @@ class FilterBank:
     """Random filters for images of three channels; implements compare.Features."""
 
     def __init__(self, config: FilterBankConfig) -> None:
-        self.config = config
+        self.config, self.levels, self.crossed = config, config.levels, config.crossed
         generator = torch.Generator().manual_seed(config.seed)
         self.weights = []
         for size in config.sizes:
@@ -135,22 +135,11 @@ class FilterBank:
             weight = weight / weight.flatten(1).norm(dim=1)[:, None, None, None]
             self.weights.append(weight.contiguous(memory_format=torch.channels_last))
 
-    @property
-    def levels(self) -> int:
-        """Number of pyramid levels."""
-        return self.config.levels
-
-    @property
-    def crossed(self) -> bool:
-        """Whether covariances between successive levels are used."""
-        return self.config.crossed
-
     def maps(self, linear: Tensor, colours: Sequence[Tensor]) -> list[Tensor]:
         """features() of every level of a colour pyramid."""
         del linear
-        return [
-            self.features(level.contiguous(memory_format=torch.channels_last)) for level in colours
-        ]
+        fast = (level.contiguous(memory_format=torch.channels_last) for level in colours)
+        return [self.features(level) for level in fast]
 
     def features(self, image: Tensor) -> Tensor:
         """(B, filters * sizes, h, w) rectified responses of one pyramid level (B, C, H, W).
@@ -405,26 +394,24 @@ class Descriptor:
     quantiles: tuple[Tensor, ...]
     """Per pyramid level (B, 3, Q) quantiles of the colours less their mean."""
 
+    @property
+    def by_level(self) -> tuple[Matrices, ...]:
+        """The statistics that have a tensor for each level."""
+        return self.grams, self.crosses, self.spectra, self.quantiles
+
     def select(self, index: Tensor | Sequence[int]) -> Descriptor:
         """Descriptors of the windows of these indices."""
-        return Descriptor(
-            self.mean[index],
-            tuple(g[index] for g in self.grams),
-            tuple(c[index] for c in self.crosses),
-            tuple(s[index] for s in self.spectra),
-            tuple(q[index] for q in self.quantiles),
-        )
+        levels = (tuple(level[index] for level in each) for each in self.by_level)
+        return Descriptor(self.mean[index], *levels)
 
     @staticmethod
     def joined(parts: Sequence[Descriptor]) -> Descriptor:
         """Concatenation along the window axis."""
-        return Descriptor(
-            torch.cat([part.mean for part in parts]),
-            tuple(torch.cat(level) for level in zip(*(p.grams for p in parts), strict=True)),
-            tuple(torch.cat(level) for level in zip(*(p.crosses for p in parts), strict=True)),
-            tuple(torch.cat(level) for level in zip(*(p.spectra for p in parts), strict=True)),
-            tuple(torch.cat(level) for level in zip(*(p.quantiles for p in parts), strict=True)),
+        levels = (
+            tuple(torch.cat(level) for level in zip(*each, strict=True))
+            for each in zip(*(part.by_level for part in parts), strict=True)
         )
+        return Descriptor(torch.cat([part.mean for part in parts]), *levels)
 
 
 def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
@@ -449,12 +436,9 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
 def distance(sample: Descriptor, target: Descriptor, weights: Weights) -> Tensor:
     """(B,) weighted relative L1 distance: 0 for equal statistics, about 1 for unlike textures."""
     total = weights.mean * (sample.mean - target.mean).abs().mean(dim=1)
-    for weight, ours, theirs in (
-        (weights.gram, sample.grams, target.grams),
-        (weights.cross, sample.crosses, target.crosses),
-        (weights.spectrum, sample.spectra, target.spectra),
-        (weights.histogram, sample.quantiles, target.quantiles),
-    ):
+    by_level = (weights.gram, weights.cross, weights.spectrum, weights.histogram)
+    pairs = zip(by_level, sample.by_level, target.by_level, strict=True)
+    for weight, ours, theirs in pairs:
         for one, other in zip(ours, theirs, strict=True):
             total = total + weight / len(theirs) * _relative(one, other)
     return total

@@ -27,8 +27,7 @@ from matcap.brdf.stated import NormalStyle
 from matcap.errors import UsageError
 from matcap.example.example import Exemplified, read_exemplified
 from matcap.field.opened import REPEATS, refuse_with_piece
-from matcap.field.plane import BlockPart, Rectangle, block_parts, check_rectangle
-from matcap.field.source import DerivedSource
+from matcap.field.plane import BlockPart, Grid, Period, Rectangle, block_parts, check_rectangle
 from matcap.files.names import MAKER_VERSION, check_grid, plain_name, tile_number
 from matcap.files.settings import refuse_options
 from matcap.synth.pictures import Preview, preview_of
@@ -89,7 +88,7 @@ def open_field(request: SynthRequest) -> tuple[SynthRequest, OpenedField]:
     info = MapSetInfo(
         request.name or name, request.seed, (request.area.x, request.area.y), provenance
     )
-    source = AdjustedSource(source, adjust) if adjust.changes else source
+    source = AdjustedSource.of(source, adjust) if adjust.changes else source
     return request, OpenedField(source, info)
 
 
@@ -130,10 +129,23 @@ def _of_material(request: SynthRequest) -> _FieldParts:
 
 
 @dataclass(frozen=True)
-class AdjustedSource(DerivedSource):
-    """A source with adjustments; picklable if the inner source is."""
+class AdjustedSource:
+    """A source with adjustments, else as the source is; picklable if that is."""
 
+    source: Source
     adjustments: Adjustments
+    texel_size: float
+    grid: Grid
+    period: Period | None
+    specular_channels: int
+    device_type: str
+
+    @staticmethod
+    def of(source: Source, adjustments: Adjustments) -> AdjustedSource:
+        """The source with these adjustments."""
+        grid, period, channels = source.grid, source.period, source.specular_channels
+        size, device = source.texel_size, source.device_type
+        return AdjustedSource(source, adjustments, size, grid, period, channels, device)
 
     def maps(self, block: Rectangle) -> Tensor:
         """Stacked maps of a block and its ring."""
@@ -162,7 +174,6 @@ class PlannedMapSet:
     """Names of the EXR files by map."""
     normal: NormalStyle
     preview: Preview | None
-    """Preview to write, or None."""
 
     def shows(self, part: BlockPart) -> bool:
         """Whether the preview shows some of a part."""

@@ -87,7 +87,6 @@ class WorkerPool:
     """Running workers."""
 
     submit: Submit
-    """Submits a job."""
     ahead: int
     """Most jobs in flight."""
 
@@ -364,9 +363,12 @@ def write_field(
                     texels.add(index, part, result.texels)
                     if shown is not None and result.lit is not None:
                         shown.add(mapset.area, part, result.lit)
-                if not texels.written:
-                    write = partial(_write_map, stage, texels, wrap)
-                    list(writers.map(write, mapset.files.items()))
+                written = {} if texels.written else mapset.files
+                for done in [
+                    writers.submit(write_map, stage / file, map_kind, texels, wrap)
+                    for map_kind, file in written.items()
+                ]:
+                    done.result()
                 texels.finish()
         heights = None
         if request.png:
@@ -379,11 +381,6 @@ def write_field(
         text = json.dumps(document, indent=2, allow_nan=False, default=str)
         (stage / f"{name}.json").write_text(text + "\n")
     return folder / f"{name}.json"
-
-
-def _write_map(stage: Path, texels: Assembly, wrap: str, named: tuple[str, str]) -> None:
-    kind, file = named
-    write_map(stage / file, kind, texels, wrap)
 
 
 def _missing(

@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError, UsageError
@@ -67,7 +66,8 @@ def packed_tile(maps: MapSet) -> dict[str, Any]:
     span = float(height.max()) - low or 1.0
     steps = np.rint((height - low) / span * 65535.0).astype("<u2")
     halves = surface.astype("<f2").view("<u2")
-    halves[:-1] = _shortened(halves[:-1])
+    half = np.uint16(1 << _SPARED >> 1)
+    halves[:-1] = (halves[:-1] + half) & np.uint16(0xFFFF << _SPARED & 0xFFFF)
     words = np.concatenate([halves.ravel(), steps.ravel()])
     # All low bytes before all high bytes, which compresses better.
     split = words.view(np.uint8).reshape(-1, 2).T
@@ -78,12 +78,6 @@ def packed_tile(maps: MapSet) -> dict[str, Any]:
         "span": span,
         "data": base64.b64encode(zlib.compress(split.tobytes(), 9)).decode(),
     }
-
-
-def _shortened(halves: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Half floats, as their bits, rounded to _SPARED bits fewer."""
-    half = np.uint16(1 << _SPARED >> 1)
-    return (halves + half) & np.uint16(0xFFFF << _SPARED & 0xFFFF)
 
 
 SCRIPTS = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import os
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
@@ -23,8 +25,9 @@ from matcap.export.job import known_scale
 from matcap.field.material import Material
 from matcap.field.options import AS_IT_IS, ReadOptions
 from matcap.field.plane import COORDINATE_LIMIT, Rectangle, check_seed
+from matcap.files.color import srgb_picture
 from matcap.files.names import read_document
-from matcap.files.pixels import jpeg_bytes
+from matcap.files.pixels import quantised
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import picture_of, rectify
 from matcap.photo.load import RAW_SUFFIXES, load_photo
@@ -255,9 +258,8 @@ class Place:
     @property
     def area(self) -> Rectangle:
         """The page with its apron, in texels of its level."""
-        return Rectangle(self.column * WIDTH, self.row * PAGE_HEIGHT, WIDTH, PAGE_HEIGHT).grown(
-            APRON
-        )
+        page = Rectangle(self.column * WIDTH, self.row * PAGE_HEIGHT, WIDTH, PAGE_HEIGHT)
+        return page.grown(APRON)
 
 
 @dataclass(frozen=True)
@@ -324,9 +326,8 @@ def packed(moments: lod.Planes, texel_size: float) -> Page:
     """Encode moments (9 or 11, PAGE_HEIGHT + 2 APRON, WIDTH + 2 APRON) as a page."""
     rough = np.sqrt(np.sqrt(moments[lod.ALPHA2]))
     channels = len(moments[lod.F0])
-    ends = tuple(
-        (float(m.min()), float(m.max())) for m in (moments[lod.F0], rough, moments[lod.HEIGHT])
-    )
+    shown = (moments[lod.F0], rough, moments[lod.HEIGHT])
+    ends = tuple((float(each.min()), float(each.max())) for each in shown)
     parts = []
     for mip in range(MIPS):
         moments = lod.halved(moments) if mip else moments
@@ -348,7 +349,7 @@ def _halves(planes: lod.Planes) -> bytes:
 
 # The photograph of a material.
 
-_LONG_SIDE = 1024
+_LONG_SIDE, _JPEG_QUALITY = 1024, 88
 _PHOTOGRAPHS = (
     ".dng", ".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".tif", ".tiff", ".heic", ".avif", ".webp",
     ".exr", ".hdr", *sorted(RAW_SUFFIXES),
@@ -360,7 +361,6 @@ class EncodedPicture:
     """An encoded image for the browser."""
 
     data: bytes
-    """Bytes of the file."""
     kind: str
     """Media type."""
 
@@ -429,4 +429,7 @@ def browser_picture(
     # Portrait photographs are read in landscape orientation; maps are upright if setup.turned.
     if photo.turned if setup is None else setup.turned:
         linear = standing(linear)
-    return EncodedPicture(jpeg_bytes(linear, 88), "image/jpeg")
+    jpeg = io.BytesIO()
+    codes = quantised(srgb_picture(linear), bits=8)
+    Image.fromarray(codes).save(jpeg, "JPEG", quality=_JPEG_QUALITY)
+    return EncodedPicture(jpeg.getvalue(), "image/jpeg")

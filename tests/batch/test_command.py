@@ -6,23 +6,18 @@ import json
 import pytest
 from kills import make_shoot
 from rich.console import Console
+from rich.progress import Progress as Bars
 
 from matcap.batch.run import prepare
-from matcap.batch.samples import BatchSettings, ShotSample
-from matcap.batch.work import (
-    BatchEntry,
-    Policy,
-    measured,
-    photo_pixels,
-    pool_size,
-    recorded,
-    worker_bytes,
-)
+from matcap.batch.samples import BatchSettings, Policy, ShotSample
+from matcap.batch.work import BatchEntry, measured, photo_pixels, pool_size, recorded, worker_bytes
 from matcap.capture.settings import PRESETS, CaptureSettings
 from matcap.cli.display import BatchDisplay
 from matcap.cli.main import main
 from matcap.files.names import Progress
 from matcap.photo.calibrate import Calibration
+
+NO_BARS = Bars(disable=True)
 
 
 @pytest.fixture
@@ -102,7 +97,7 @@ def test_memory_grows_with_photograph_detail_and_map_set(shoot):
 
 def test_without_a_terminal_each_finished_sample_prints_a_line(tmp_path):
     said = io.StringIO()
-    shown = BatchDisplay(Console(file=said, width=200), None, quiet=False)
+    shown = BatchDisplay(Console(file=said, width=200), NO_BARS, quiet=False)
     shown.expect(2)
     record = {"verdict": {"rating": "usable"}, "doubtful": True, "seconds": 12.0}
     good = BatchEntry(ShotSample("a [b]", (tmp_path / "a.jpg",)), "i", "made", "", record)
@@ -124,7 +119,7 @@ def test_a_calibration_card_is_no_sample_and_part_of_the_identity(shoot, tmp_pat
         return Calibration(path.name, "digest", millimetres_per_unit=120.0, tilt=1.0)
 
     monkeypatch.setattr("matcap.batch.run.read_card", read)
-    shown = BatchDisplay(Console(file=io.StringIO()), None, quiet=True)
+    shown = BatchDisplay(Console(file=io.StringIO()), NO_BARS, quiet=True)
     without = prepare(shoot, tmp_path / "out", BatchSettings(), Policy(), shown)
     (shoot / "Card 1.dng").write_bytes(b"x")
     (shoot / "Card 1.jpg").write_bytes(b"x")

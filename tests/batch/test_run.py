@@ -13,8 +13,8 @@ from kills import torture
 
 import matcap.batch.run
 from matcap.batch.run import Batch, Event, Prepared, exit_code
-from matcap.batch.samples import BatchSettings, find_samples
-from matcap.batch.work import Failure, Policy, do_job, make_plan, open_run, recorded
+from matcap.batch.samples import BatchSettings, Policy, find_samples
+from matcap.batch.work import Failure, do_job, make_plan, open_run, recorded
 from matcap.capture import pipeline
 from matcap.cli.main import main
 from matcap.files.names import Progress

@@ -201,7 +201,7 @@ def test_long_work_is_shown_by_lines_where_there_is_no_terminal(monkeypatch, cap
         shown.progress(0.1, "blending")
         now[0] = 11.0
         shown.progress(0.4, "blending")
-    assert capsys.readouterr().err.split() == ["40.0%", "blending"]
+    assert capsys.readouterr().err.split() == ["40.0", "%", "blending"]
 
 
 def test_notes_of_reading_are_printed(matcap, pipeline, photo, out):

@@ -22,13 +22,17 @@ from matcap.export.textures import picture as plain
 # The glTF binary: its light, its plane, and Khronos's validator.
 
 
+def job_of(made, name, unit=None, **options):
+    return ExportJob(made[name], name, unit, ExportOptions(**options))
+
+
 @pytest.mark.parametrize(
     ("name", "depth"),
     [*((name, depth) for name in MATERIALS for depth in (None, "8", "16")),
      *((name, None) for name in METALS)],
 )  # fmt: skip
 def test_the_material_gives_the_reflectance_of_the_maps(tmp_path, made, name, depth):
-    done = write_export(ExportJob(made[name], name, depth=depth), "gltf", tmp_path)
+    done = write_export(job_of(made, name, bits=depth), "gltf", tmp_path)
     ways = {
         "specular": {"compensated": True, "browsers": True},
         "read with 16 bits": {"compensated": True},
@@ -87,8 +91,8 @@ def test_every_f0_is_kept(tmp_path, f0):
 def test_radiance_beyond_the_layers_of_gltf_is_noted(tmp_path):
     flat = torch.zeros(1, 8, 8)
     maps = MapSet(flat.expand(3, 8, 8) + 0.9, flat + 0.5, flat + 0.5, flat, 0.1)
-    asked = ExportOptions(workflow="specular")
-    done = write_export(ExportJob(maps, "bright"), "gltf", tmp_path, asked)
+    job = ExportJob(maps, "bright", options=ExportOptions(workflow="specular"))
+    done = write_export(job, "gltf", tmp_path)
     assert "clipped" in done.notes[0] and done.residual.mean > 0.1
 
 
@@ -97,7 +101,7 @@ def test_radiance_beyond_the_layers_of_gltf_is_noted(tmp_path):
 )
 @pytest.mark.parametrize("depth", ["8", "16"])
 def test_the_gltf_validator_reports_no_error(tmp_path, made, depth):
-    write_export(ExportJob(made["rust"], "rust", 85.0, depth), "gltf", tmp_path)
+    write_export(job_of(made, "rust", 85.0, bits=depth), "gltf", tmp_path)
     assert complaints(tmp_path / "rust.glb") == []
     broken = (tmp_path / "rust.glb").read_bytes().replace(b'"VEC3"', b'"VEC4"')
     (tmp_path / "rust.glb").write_bytes(broken)
@@ -110,7 +114,7 @@ def test_jpg_textures_make_a_smaller_file(tmp_path, made):
     sizes = {}
     for one in (None, "jpg"):
         folder = tmp_path / str(one)
-        write_export(ExportJob(made["rust"], "rust", container=one), "gltf", folder)
+        write_export(job_of(made, "rust", container=one), "gltf", folder)
         sizes[one] = (folder / "rust.glb").stat().st_size
     assert sizes["jpg"] < 0.8 * sizes[None]
     document, view = opened(folder / "rust.glb")
@@ -122,8 +126,7 @@ def test_jpg_textures_make_a_smaller_file(tmp_path, made):
 
 
 def test_viewers_without_extensions_get_a_metallic_material(tmp_path, made):
-    asked = ExportOptions(workflow="metallic")
-    done = write_export(ExportJob(made["leather"], "leather"), "gltf", tmp_path, asked)
+    done = write_export(job_of(made, "leather", workflow="metallic"), "gltf", tmp_path)
     assert done.workflow == "metallic"
     document, _ = opened(tmp_path / "leather.glb")
     assert document["extensionsUsed"] == ["KHR_materials_ior"] and done.residual.mean < 0.04

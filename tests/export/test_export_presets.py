@@ -17,7 +17,7 @@ from matcap.errors import UsageError
 from matcap.export.job import ExportJob
 from matcap.export.options import ExportOptions
 from matcap.export.shading import residuals
-from matcap.export.targets import DOCUMENTS, preset_forms, write_export
+from matcap.export.targets import TARGETS, write_export
 from matcap.export.workflows import FORMS, ErrorWeights, MetallicAim, to_metallic
 from matcap.files.exr import read_exr
 
@@ -51,22 +51,22 @@ NAMES = {
 }  # fmt: skip
 
 
-def packed(job, preset, choice=None):
+def packed(job, preset):
     """The one form of a preset, or the one named after it."""
     name, _, form = preset.partition(" ")
-    forms = preset_forms(name, choice)
+    forms = TARGETS[name]
     return forms[form](job) if form else next(iter(forms.values()))(job)
 
 
-def moss(**options) -> ExportJob:
+def moss(millimetres=None, **options) -> ExportJob:
     """1024 x 2 texels, so that {res} is a round one."""
-    return ExportJob(random_maps(1024, 2), "moss", **options)
+    return ExportJob(random_maps(1024, 2), "moss", millimetres, ExportOptions(**options))
 
 
 @pytest.mark.parametrize("preset", NAMES)
 def test_presets_have_the_file_names_of_their_libraries(tmp_path, preset):
     name, _, form = preset.partition(" ")
-    done = write_export(moss(), name, tmp_path, ExportOptions(workflow=form or None))
+    done = write_export(moss(workflow=form or None), name, tmp_path)
     assert set(done.files) == NAMES[preset] | {f"moss_{name}.json"}
     sidecar = json.loads((tmp_path / f"moss_{name}.json").read_text())
     assert {*sidecar["files"], *sidecar["documents"]} == NAMES[preset]
@@ -76,8 +76,8 @@ def test_presets_have_the_file_names_of_their_libraries(tmp_path, preset):
 @pytest.mark.parametrize("preset", ["polyhaven", "ambientcg", "unreal metallic", "raw"])
 @pytest.mark.parametrize("normal", ["gl", "dx", "both"])
 def test_the_direction_of_normals_is_in_the_name_and_in_the_file(preset, normal):
-    job = moss()
-    files = packed(job, preset, ExportOptions(normal=normal)).textures
+    job = moss(normal=normal)
+    files = packed(job, preset).textures
     found = {
         re.search(r"(gl|dx)(?=[_.]|$)", name.rsplit(".", 1)[0], re.IGNORECASE)[1].lower(): texture
         for name, texture in files.items()
@@ -114,8 +114,8 @@ def test_metals_keep_albedo_and_f0_in_unreal(tmp_path, name):
 
 
 def test_unity_keeps_smoothness_in_alpha(tmp_path):
-    job = moss()
-    write_export(job, "unity-hdrp", tmp_path, ExportOptions(workflow="specular"))
+    job = moss(workflow="specular")
+    write_export(job, "unity-hdrp", tmp_path)
     mask = picture(tmp_path / "moss_MaskMap.png")
     assert mask.shape[2] == 4
     assert np.abs(1.0 - mask[..., 3] - job.picture("roughness")).max() < 0.51 / 255
@@ -142,14 +142,14 @@ def test_heights_are_read_back_by_the_sidecar(tmp_path, preset, file, unit, form
 
 @pytest.mark.parametrize(("bits", "kind"), [("8", np.uint8), ("16", np.uint16)])
 def test_pngs_have_the_bits_of_the_preset(tmp_path, bits, kind):
-    write_export(moss(depth=bits), "unity-hdrp", tmp_path)
+    write_export(moss(bits=bits), "unity-hdrp", tmp_path)
     pictures = (cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in tmp_path.glob("*.png"))
     assert {picture.dtype for picture in pictures} == {np.dtype(kind)}
 
 
 @pytest.mark.parametrize("bits", ["half", "float"])
 def test_float_textures_hold_the_exact_values(tmp_path, bits):
-    job = moss(depth=bits)
+    job = moss(bits=bits)
     write_export(job, "polyhaven", tmp_path)
     assert not list(tmp_path.glob("*.png"))
     found = read_exr(tmp_path / "moss_diff_1k.exr").pixels
@@ -241,17 +241,18 @@ class TestForms:
     @pytest.mark.parametrize("name", ["rust beside steel", "worn paint"])
     def test_no_solution_is_worse_than_the_plain_one(self, target, name, monkeypatch):
         job = ExportJob(metals()[name], "m")
-        make = {**DOCUMENTS, "unity-hdrp": preset_forms("unity-hdrp")}[target]["metallic"]
+        make = TARGETS[target]["metallic"]
         chosen = residuals(job, make(job).surfaces)["metallic"]
         monkeypatch.setattr("matcap.export.workflows.FORMS", ("plain",))
         assert chosen.mean < residuals(job, make(job).surfaces)["metallic"].mean
 
 
-def glossy(f0: float) -> ExportJob:
+def glossy(f0: float, **options) -> ExportJob:
     """Brown, and as reflecting as leather that is polished: no metal, and not F0 = 0.04."""
     flat = torch.zeros(1, 8, 8)
     diffuse = torch.tensor([0.12, 0.06, 0.03])[:, None, None].expand(3, 8, 8)
-    return ExportJob(MapSet(diffuse, flat + f0, flat + 0.4, flat, 0.1), "brown")
+    maps = MapSet(diffuse, flat + f0, flat + 0.4, flat, 0.1)
+    return ExportJob(maps, "brown", options=ExportOptions(**options))
 
 
 @pytest.mark.parametrize("preset", ["unity-hdrp", "unity-urp"])
@@ -271,15 +272,15 @@ def test_unreal_gets_metallic_textures_by_default(tmp_path):
 
 
 def test_a_workflow_can_be_chosen(tmp_path):
-    done = write_export(glossy(0.04), "unity-hdrp", tmp_path, ExportOptions(workflow="metallic"))
+    done = write_export(glossy(0.04, workflow="metallic"), "unity-hdrp", tmp_path)
     assert done.workflow == "metallic"
     assert (picture(tmp_path / "brown_MaskMap.png")[..., 0] == 0.0).all()  # leather is no metal
     with pytest.raises(UsageError, match="no specular workflow"):
-        write_export(glossy(0.09), "godot", tmp_path, ExportOptions(workflow="specular"))
+        write_export(glossy(0.09, workflow="specular"), "godot", tmp_path)
 
 
 def test_a_grey_f0_over_red_albedo_has_a_residual_in_the_metallic_workflow():
-    forms = preset_forms("unity-hdrp")
+    forms = TARGETS["unity-hdrp"]
     job = glossy(0.4)
     off = {form: residuals(job, make(job).surfaces)[form].mean for form, make in forms.items()}
     assert off["metallic"] > 0.04 > off["specular"]
@@ -289,8 +290,7 @@ class TestHeights:
     """One range for all realisations of a material, the undisplaced level in the middle."""
 
     def test_mid_height_is_without_displacement(self, tmp_path):
-        job = glossy(0.04)
-        write_export(job, "polyhaven", tmp_path, ExportOptions(maps=["height"]))
+        write_export(glossy(0.04, maps=["height"]), "polyhaven", tmp_path)
         code = picture(tmp_path / "brown_disp_8.png")
         assert np.abs(code - 0.5).max() < 1e-5
 

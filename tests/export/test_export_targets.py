@@ -24,6 +24,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.export.job import ExportJob, material_reach
+from matcap.export.options import ExportOptions
 from matcap.export.presets import PRESETS
 from matcap.export.shading import DIRECTIONS, TargetShading, TargetSurface, compared, shine_all
 from matcap.export.targets import DOCUMENTS, export_mapset, write_export
@@ -72,7 +73,8 @@ def test_broken_maps_leave_nothing(tmp_path, made, target):
 @pytest.mark.parametrize("target", ["usd", "gltf"])
 def test_floats_are_refused_where_none_can_be(tmp_path, made, target):
     with pytest.raises(UsageError, match="no float textures"):
-        write_export(ExportJob(made["leather"], "leather", depth="half"), target, tmp_path)
+        options = ExportOptions(bits="half")
+        write_export(ExportJob(made["leather"], "leather", options=options), target, tmp_path)
 
 
 def test_a_known_size_goes_into_every_export(tmp_path, made):

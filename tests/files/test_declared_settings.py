@@ -105,6 +105,7 @@ def test_the_nearest_word_or_all_there_are():
     assert nearest("prest", ["preset", "steps"]) == "did you mean 'preset'"
     assert nearest("unity", ["raw", "unity-hdrp", "unity-urp"]) == "did you mean 'unity-hdrp'"
     assert nearest("qqqq", ["preset", "steps"]) == "choose from preset, steps"
+    assert nearest("nope", ["top", "left"], "or a file") == "choose from top, left or a file"
 
 
 # Sizes, rectangles, times and names as typed or found in files.

@@ -160,6 +160,13 @@ def test_exif_of_a_dng(tmp_path, light):
     assert (photo.fov_source, photo.flash_fired) == ("exif", True)
 
 
+@pytest.mark.parametrize("size", [(16, 400), (400, 16), (40, 40)])
+def test_a_small_dng_is_called_too_small_not_damaged(tmp_path, size):
+    path = write_dng(tmp_path / "a.dng", mosaic(np.full((*size, 3), 0.5)))
+    with pytest.raises(MatcapError, match=f"{size[1]} x {size[0]} pixels, too small.* at least 64"):
+        load_photo(path)
+
+
 def test_odd_sizes_are_decoded(tmp_path):
     light = np.full((97, 131, 3), 0.3)
     path = write_dng(tmp_path / "a.dng", mosaic(light))

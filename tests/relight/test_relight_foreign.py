@@ -14,6 +14,7 @@ from relight_samples import bumpy
 from matcap.brdf.maps import MapSet
 from matcap.errors import MatcapError
 from matcap.export.job import ExportJob
+from matcap.export.options import ExportOptions
 from matcap.export.targets import write_export
 from matcap.files.color import srgb_decode, srgb_picture
 from matcap.files.exr import write_exr
@@ -447,7 +448,8 @@ def test_exports_are_read_back(tmp_path, target):
 
 @pytest.mark.parametrize("container", ["jpg", "exr"])
 def test_exports_of_every_format_are_read_back(tmp_path, container):
-    write_export(ExportJob(MAPS, "leather", container=container), "polyhaven", tmp_path)
+    options = ExportOptions(container=container)
+    write_export(ExportJob(MAPS, "leather", options=options), "polyhaven", tmp_path)
     found, whole = read_foreign(tmp_path).texture, Texture.from_maps(MAPS)
     np.testing.assert_allclose(found.specular, whole.specular, atol=0.01)
     assert np.abs(found.diffuse - whole.diffuse).mean() < 0.01

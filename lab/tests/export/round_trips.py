@@ -34,7 +34,7 @@ from matcap.export import workflows
 from matcap.export.job import ExportJob
 from matcap.export.presets import PRESETS
 from matcap.export.shading import residuals
-from matcap.export.targets import DOCUMENTS, preset_forms, write_export
+from matcap.export.targets import DOCUMENTS, TARGETS, write_export
 from matcap.field.opened import open_tile
 from matcap.files.exr import read_exr
 from matcap.relight.scene import NAMED_LIGHTS, PointLight, exposing_intensity, scene_from_light
@@ -171,7 +171,7 @@ def materials(paths, metallic):
 
 def metallic_forms(maps, preset):
     """{form: residual} of the ways in which base colour and metallic may be found."""
-    make, found, all_forms = preset_forms(preset)["metallic"], {}, workflows.FORMS
+    make, found, all_forms = TARGETS[preset]["metallic"], {}, workflows.FORMS
     for form in all_forms:
         workflows.FORMS = (form,)
         job = ExportJob(maps, "m")

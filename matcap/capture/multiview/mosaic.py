@@ -94,8 +94,9 @@ class Mosaic:
         """A sentence if the mosaic was cut to its largest size, else None."""
         if not self.limited:
             return None
+        left_out = 100.0 - 100.0 * self.covered
         return (
-            f"{1.0 - self.covered:.0%} of what the photographs show is left out of the maps, which "
+            f"{left_out:.0f} % of what the photographs show is left out of the maps, which "
             f"have {self.times:.1f} times the first photograph's texels, the largest size: "
             "capture it separately, or give a smaller --detail."
         )

@@ -223,7 +223,7 @@ class _Fitted:
         if wrong:
             return max(wrong)[1:]
         loss, index = max(((loss, n) for n, loss in self.losses.items() if n), default=(0.0, 0))
-        why = f"it is blurred: its finest detail is {math.exp(-loss):.0%} of the others'"
+        why = f"it is blurred: its finest detail is {100 * math.exp(-loss):.0f} % of the others'"
         return (index, why) if loss > _BLURRED else None
 
     def views(

@@ -248,7 +248,8 @@ def _highlight(seen: Measurements) -> Finding:
     known = (one for one in ratios if math.isfinite(one[0]))
     ratio, what = max(known, key=lambda one: check.severity(one[0]), default=(math.nan, whole))
     clipped = 0.0 if profile is None or not profile.bound else profile.clipped[0]
-    bound = f", or less: {clipped:.0%} of the photograph's highlight is clipped" if clipped else ""
+    says = f", or less: {100.0 * clipped:.0f} % of the photograph's highlight is clipped"
+    bound = says if clipped else ""
     return check.finding(ratio, what=what, bound=bound if what is whole else "")
 
 
@@ -280,7 +281,7 @@ def _pattern(seen: Measurements) -> Finding:
         return CHECKS["pattern"].finding(math.nan)
     before, after = seen.order
     kept = min(max(after, 0.0) / before, 1.0)
-    return CHECKS["pattern"].finding(1.0 - kept, kept=kept)
+    return CHECKS["pattern"].finding(1.0 - kept, kept=100.0 * kept)
 
 
 def _exemplar(seen: ExemplarMeasurements) -> Iterator[Finding]:

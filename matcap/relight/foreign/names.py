@@ -146,7 +146,6 @@ class NamedFile:
     """A file, and the maps that its name says it holds."""
 
     path: Path
-    """Path of the file."""
     channels: Packing
     """Channels of each map; empty where the name names none."""
     style: str = ""

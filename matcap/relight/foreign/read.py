@@ -82,8 +82,8 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
     if facing_down > _FACING_DOWN or mean[2] < _LEANING * float(np.linalg.norm(mean)):
         raise MatcapError.at(
             pixels.path,
-            f"{facing_down:.0%} of its normals point away from the surface and their mean is "
-            f"({mean[0]:.2f}, {mean[1]:.2f}, {mean[2]:.2f}), so it is of object or world space",
+            f"{100 * facing_down:.0f} % of its normals point away from the surface and their mean "
+            f"is ({mean[0]:.2f}, {mean[1]:.2f}, {mean[2]:.2f}), so it is of object or world space",
             "bake it in tangent space",
         )
     if "B" in pixels.roles and facing_down > 1e-3 and _is_other(x, y, z):
@@ -92,7 +92,7 @@ def slopes_of(pixels: Pixels) -> tuple[Array, tuple[str, ...]]:
         facing_down = 0.0
     if facing_down > 1e-3:
         notes.append(
-            f"{name}: {facing_down:.1%} of its normals point away from the viewer; "
+            f"{name}: {100.0 * facing_down:.1f} % of its normals point away from the viewer; "
             f"their slope is limited to {_STEEPEST:g}"
         )
     z = np.maximum(z, 1.0 / _STEEPEST)
@@ -203,7 +203,6 @@ class Foreign:
     """A map set read for relighting."""
 
     texture: Texture
-    """The material."""
     notes: tuple[str, ...]
     """What was guessed or not used, a sentence each."""
     files: Mapping[str, str]

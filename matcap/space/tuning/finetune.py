@@ -448,7 +448,6 @@ class InitialDecoder:
     code: Tensor
     """(CODE_SIZE,) latent vector."""
     rate: float
-    """Learning rate."""
 
 
 def initial_decoder(

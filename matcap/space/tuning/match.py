@@ -191,7 +191,6 @@ class PhotographTarget:
     windows: Windows
     """Windows, with their statistics."""
     setup: FlashSetup
-    """Camera and flash."""
     encoding: Encoding
     """Colour space of the comparison."""
     bank: Features
@@ -201,7 +200,6 @@ class PhotographTarget:
     texel_size: float
     """Side of a texel, plane units."""
     weights: Weights = Weights()
-    """Weights of the statistics."""
     expected: Tensor | None = None
     """(5,) logits of the coarse fit's diffuse albedo, F0 and roughness, or None."""
     drawing: Drawing | None = None

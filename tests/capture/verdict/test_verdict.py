@@ -622,7 +622,7 @@ def test_a_matte_surface_has_no_highlight_however_its_light_falls_off():
 
 def test_a_clipped_core_is_told_to_be_a_bound():
     says = named(replace(FINE, profile=profile(5.0, 2.0, clipped=0.4)))["highlight_contrast"].says
-    assert "40% of the photograph's highlight is clipped" in says
+    assert "40 % of the photograph's highlight is clipped" in says
     assert "clipped" not in named(FINE)["highlight_contrast"].says
 
 

@@ -12,7 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
-from matcap.export.job import Container, Depth, ExportJob
+from matcap.export.job import ExportJob
+from matcap.export.options import Container, Depth
 from matcap.export.targets import DOCUMENTS, PRESETS, write_export
 from matcap.export.texture_file import TextureFile
 from matcap.export.workflows import SURE_METAL, MetallicAim, to_metallic
