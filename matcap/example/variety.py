@@ -17,6 +17,7 @@ from matcap.example.candidates import PatchSizes, features_of, grid_bits, grids_
 from matcap.example.coordinates import coordinates
 from matcap.example.example import Example, coarsened, detail_bits
 from matcap.example.index import Lookup
+from matcap.example.placement import texture_trend
 from matcap.example.plaid import detrended, is_plaid, repeating_plaid
 from matcap.field.plane import Rectangle
 
@@ -33,6 +34,8 @@ _SHARE = 0.5  # largest loss as a share of the exemplar's RMS correlation, if th
 # from 0.021 on.
 _SEAMS = 0.018
 _MORE_SEAMS = 1.1  # largest share of seams over the least of all varieties, if that is more
+_SQUARE = 4  # log2 of the texels of a square of the texture's trend
+_FEWER = 0.9  # largest mean squared step of smaller patches over the largest ones', to be taken
 
 Planes = NDArray[np.float32]
 
@@ -54,9 +57,9 @@ class VarietyTrial:
 def with_chosen_variety(example: Example) -> Example:
     """A copy of the example with the highest variety whose measures are within limits.
 
-    If there is none, the limits are the least loss of all and about the least seams; with a lattice
-    the lowest variety is taken, as its seams do not follow the patches' size. A plaid repeats
-    (plaid.py): of its bands no smaller patch shows where they go on.
+    If there is none, the limits are the least loss of all and about the least seams; of a lattice,
+    whose seams do not follow the patches' size, see with_least_steps. A plaid repeats (plaid.py):
+    of its bands no smaller patch shows where they go on.
     """
     if is_plaid(example):
         return repeating_plaid(example)
@@ -67,11 +70,36 @@ def with_chosen_variety(example: Example) -> Example:
             return example.varied(one.variety)
         tried.append(one)
     if example.lookup.lattice is not None:
-        return example.varied(LOWEST_VARIETY)
+        return with_least_steps(example)
     limit = max(limit, min((one.lost for one in tried), default=0.0))
     seams = max(_SEAMS, _MORE_SEAMS * min((one.seams for one in tried), default=0.0))
     within = (one.variety for one in tried if one.lost <= limit and one.seams <= seams)
     return example.varied(next(within, LOWEST_VARIETY))
+
+
+def with_least_steps(example: Example) -> Example:
+    """A copy of the lowest variety, or of one whose texture steps less at seams.
+
+    Large patches keep long threads. But a patch that is soft on one side, as of a tilted or blurred
+    photograph, meets its neighbour's sharp one: where texture has a trend, patches are to be as
+    small as the place that it leaves even. Compared is the mean square of the trend's steps.
+    """
+    exemplar, count = example.exemplar, len(example.index.bases)
+    coarse = coarsened(exemplar, detail_bits(exemplar))
+    rows, columns = (-(-side // (1 << _SQUARE)) for side in coarse.size[::-1])
+    trend = texture_trend(planes_of(coarse), np.ones((rows, columns), np.bool_))
+    level = min(_LEVEL, count - 1)
+    area = Rectangle(0, 0, coarse.size[0] >> level, coarse.size[1] >> level)
+
+    def steps(variety: float) -> float:
+        places = coordinates(_varied(example.lookup, variety), 0, {level: area}, None)[level]
+        seams = (np.diff(places, axis=1) != [1 << level, 0]).any(-1)
+        shown = trend[:, places[..., 1] >> _SQUARE, places[..., 0] >> _SQUARE]
+        return float((np.square(np.diff(shown, axis=2)) * seams).mean())
+
+    *smaller, largest = ((steps(variety), variety) for variety in _TRIED)
+    least = min(smaller)
+    return example.varied((least if least[0] < _FEWER * largest[0] else largest)[1])
 
 
 def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache, partial
 
+import cv2
 import numpy as np
 import plain_loops as plain
 import pytest
@@ -29,7 +30,7 @@ from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 from matcap.example.index import prepare
 from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
-from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety
+from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety, with_least_steps
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup
@@ -485,6 +486,16 @@ def test_the_shortest_waves_of_a_lattice_are_followed():
     (ax, ay), (bx, by) = WAVES
     flat, waves = straightened(woven(bend=12.0), ((ax, ay), (bx - 2 * ax, by - 2 * ay)))
     assert np.allclose(np.abs(waves), np.abs(WAVES), atol=0.01)
+
+
+def test_a_weave_that_softens_to_one_side_has_smaller_patches_than_an_even_one():
+    even = woven(noise=0.5)
+    soft = np.stack([cv2.GaussianBlur(plane, (0, 0), 2.0) for plane in even.stacked()])
+    share = np.linspace(0.0, 1.0, WIDTH, dtype=np.float32)
+    mixed = Exemplar.certain((1.0 - share) * even.stacked() + share * soft, even.texel_size)
+    for one, least, most in ((even, 0.1, 0.1), (mixed, 0.5, 1.0)):
+        example = Example.of_rounded(one.rounded(), WAVES, straight=True)
+        assert least <= with_least_steps(example).variety <= most
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ from matcap.example.candidates import Frame
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
-from matcap.example.variety import LOWEST_VARIETY, with_chosen_variety
+from matcap.example.variety import with_chosen_variety, with_least_steps
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.highlight import without_glints
 from matcap.flash.rectify import Plane
@@ -230,7 +230,7 @@ def indexed(
     Fields show only a rectangle of what was photographed, unless it has less than _MOST_KEPT of it.
 
     A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
-    large patches: its threads are the same everywhere, and small ones swirl.
+    large patches: its threads are the same everywhere, and small ones swirl (with_least_steps).
 
     Args:
         exemplar: the maps, rounded as in a file.
@@ -250,7 +250,7 @@ def indexed(
                 exemplar, waves, part=None if kept is None else _shown(kept), one_light=one_light
             )
         )
-    return exemplar, Example.of_rounded(*flat, straight=True).varied(LOWEST_VARIETY)
+    return exemplar, with_least_steps(Example.of_rounded(*flat, straight=True))
 
 
 def _upright(kept: TexelMask | None, *, turned: bool) -> TexelMask | None:
