@@ -25,6 +25,7 @@ from matcap.photo.photo import FULL, Photo
 # log L = log(a E / pi + specular(F0, r) E) - vignetting.
 
 _DARKEST = 1e-12  # radiance added before logarithms
+_OUTSIDE = 0.1  # of the largest channel of albedo, by which the least may be below 0
 BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
 
@@ -95,7 +96,8 @@ def log_radiance(
     points = camera[:, None, None] + along * ray
     light = FlashLight.between(points, camera, flash, unknowns.flash.exp()[:, None, None])
     incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
-    colour = unknowns.albedo.exp()[:, None, None]
+    albedo = unknowns.albedo.exp() if conductor else signed_albedo(unknowns.albedo)
+    colour = albedo[:, None, None]
     surface = Reflectance(
         colour * (BLACK if conductor else 1.0),
         colour if conductor else unknowns.specular.exp()[:, None, None],
@@ -103,9 +105,19 @@ def log_radiance(
     )
     lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
     matte, mirrored = incidence.matte(surface.diffuse), incidence.mirrored(*surface[1:])
-    radiance = (matte + mirrored) * incidence.irradiance
+    radiance = ((matte + mirrored) * incidence.irradiance).clamp_min(0.0)
     share = matte.mean(0) / (matte + mirrored).mean(0).clamp_min(_DARKEST)
     return ((radiance + _DARKEST).log() + lost).flatten(1), share.flatten()
+
+
+def signed_albedo(log: Tensor) -> Tensor:
+    """(3,) diffuse albedo of its unknown; of a colour outside sRGB the least channel is negative.
+
+    A file clips it at 0 except under the highlight, where it darkens the channel. With a positive
+    one, the flash would take that colour: pink, of a blue paint.
+    """
+    positive = log.exp()
+    return positive - _OUTSIDE * (positive.max() - positive)
 
 
 def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
