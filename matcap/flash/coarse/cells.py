@@ -154,7 +154,7 @@ _ABOVE_KNEE = 0.25  # factor on the residual of a model brighter than such a cel
 _HIDDEN = 0.02  # share of cells clipped in all channels above which a highlight may be hidden
 # Share of a developed cell's brightest channel added to all of them before the logarithm, as dark
 # channels of saturated colours are clipped by the colour space.
-_CRUSHED = 0.02
+CRUSHED = 0.02
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
         above = np.where(above < 1.0, 0.0, 1.0)
     toe = np.full_like(small, 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9)
     if not photo.radiometric:
-        toe += _CRUSHED * small.max(axis=2, keepdims=True)
+        toe += CRUSHED * small.max(axis=2, keepdims=True)
     u = (left + (np.arange(size[0]) + 0.5) * (right - left) / size[0]) * 2.0 / columns - 1.0
     v = (rows - 2.0 * (top + (np.arange(size[1]) + 0.5) * (bottom - top) / size[1])) / columns
     image = np.stack(np.broadcast_arrays(u[None, :], v[:, None])).reshape(2, -1)
