@@ -44,7 +44,7 @@ _TILES = 8  # along the long side
 # A picture without a material: pixels across that are too few, share of pixels equal to others,
 # deviation of log radiance in fine texture below which there is none, difference between parts.
 _SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.4, 0.008, 2.4
-# Radiance of the tenth of 255 codes, below which smooth black is equal, and the largest share below.
+# Radiance of the tenth of 255 codes, below which smooth black is equal, and the most below it.
 _TENTH, _BLACK = 3e-3, 0.95
 _SEPARATION = 32  # how far from others, as a share of the longer side
 _NOT_ONE = 9.0  # severity of such a picture, above those of what is wrong with a material's
@@ -196,7 +196,8 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     fine = float((blurred(light, 1.0) - blurred(light, 8.0)).std())
     # Smooth paint has equal neighbours, but no equal pixels a 32nd of the width apart.
     far = max(1, max(pixels.shape[:2]) // _SEPARATION)
-    pairs = [(slice(far, None), slice(-far)), (np.s_[:, far:], np.s_[:, :-far])]
+    far_on, before, whole = slice(far, None), slice(-far), slice(None)
+    pairs = [((far_on, whole), (before, whole)), ((whole, far_on), (whole, before))]
     same = [(pixels[one] == pixels[other]).all(axis=2) for one, other in pairs]
     equal = min(float(each.mean()) for each in same)
     # Black gloss lit by a flash is in few codes: no drawing.
