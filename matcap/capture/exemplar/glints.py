@@ -30,10 +30,13 @@ from matcap.flash.rectify import Plane
 Floats = NDArray[np.float32]
 
 _GREYEST = 0.6  # largest ratio of the least channel of albedo to the largest
-_AROUND = 48.0  # the long side over the standard deviation of local means
+# The long side over standard deviations: of the local mean of whiteness, as larger white spots are
+# no glints, and of the neighbourhood in which they are many.
+_AROUND, _MANY_WITHIN = 96.0, 24.0
 _RARE = 1e-3  # share of matte texels that are whiter than the bound
-_FEW = 4.0  # times that share, in a neighbourhood, up to which white texels are rare marks
+_FEW = 10.0  # times that share, in a neighbourhood, up to which white texels are rare marks
 _LEAST_LIGHTNESS = 0.05
+_LEAST_BOUND = 0.1  # of whiteness, over albedo
 
 
 @torch.no_grad()
@@ -54,12 +57,13 @@ def without_glints(plane: Plane, uniform: CoarseFit) -> Plane:
     matte_part = (plane.linear - (radiance - diffuse)) / white.clamp_min(1e-9)
     fullest, emptiest = matte_part[most].numpy(), matte_part[least].numpy()
     lightness = (fullest - emptiest) / np.float32(albedo[most] - albedo[least])
-    weight, around = seen.astype(np.float32), max(height, width) / _AROUND
+    weight, side = seen.astype(np.float32), max(height, width)
     glint = emptiest - np.float32(albedo[least]) * lightness
-    glint -= local_mean(glint, weight, around)
-    scale = np.maximum(local_mean(lightness, weight, around), np.float32(_LEAST_LIGHTNESS))
-    beyond = (glint / scale - _bound(glint / scale, seen, radiance, diffuse)) * seen
-    share = local_mean((beyond > 0.0).astype(np.float32), weight, 2.0 * around)
+    glint -= local_mean(glint, weight, side / _AROUND)
+    scale = np.maximum(local_mean(lightness, weight, side / _AROUND), np.float32(_LEAST_LIGHTNESS))
+    bound = max(_bound(glint / scale, seen, radiance, diffuse), _LEAST_BOUND * float(albedo.mean()))
+    beyond = (glint / scale - bound) * seen
+    share = local_mean((beyond > 0.0).astype(np.float32), weight, side / _MANY_WITHIN)
     kept = 1.0 - _FEW * _RARE / np.maximum(share, np.float32(_RARE))
     glint = (beyond * scale * kept.clip(0.0, 1.0)).clip(0.0)
     linear = plane.linear - torch.from_numpy(np.asarray(glint, np.float32)) * white
