@@ -182,6 +182,8 @@ _SHARPNESS = 3.0
 _SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours overlap
 # Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
 _MOST_FACTOR = 30.0
+# Error of a direction's share over squared slopes: without, a steep rock gets a grain it lacks.
+_BY_STEEPNESS = 4.0
 _BY_DIRECTION = 1.0  # scale of the Cauchy prior of a direction's log factor
 _LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
 
@@ -478,7 +480,8 @@ def _turned(height: Height, spectrum: ReliefSpectrum, margin: int) -> Height:
     """A height (H, W) whose directions have their measured shares of slope energy.
 
     The network draws bumps where grooves are brushed. With the shares p_bk of directions k in band
-    b, the measured ones q_bk and d_bk, the error of S_bk over the band's sum,
+    b, the measured ones q_bk and d_bk, the error of S_bk over the band's sum and, as shading is of
+    first order, _BY_STEEPNESS times the squared slopes of all,
 
         minimise  sum_b ((p_bk e^{y_k} - q_bk) / d_bk)^2 + 2 log(1 + (y_k / _BY_DIRECTION)^2)
 
@@ -490,6 +493,7 @@ def _turned(height: Height, spectrum: ReliefSpectrum, margin: int) -> Height:
     measured = np.square(spectrum.slope)
     total = measured.sum(1, keepdims=True) + _LEAST_SLOPE**2
     error = (spectrum.error + _LEAST_SLOPE**2) / total
+    error = np.hypot(error, _BY_STEEPNESS * spectrum.relief**2)
     logs = np.arange(-_MOST_LOG, _MOST_LOG + _POSTERIOR_STEP / 2.0, _POSTERIOR_STEP)
     off = (share[..., None] * np.exp(logs) - (measured / total)[..., None]) / error[..., None]
     prior = 2.0 * np.log1p(np.square(logs / _BY_DIRECTION))
