@@ -44,6 +44,8 @@ _TILES = 8  # along the long side
 # A picture without a material: pixels across that are too few, share of pixels equal to others,
 # deviation of log radiance in fine texture below which there is none, difference between parts.
 _SMALL, _EQUAL, _BLANK, _MIXED = 256, 0.4, 0.008, 2.4
+# Radiance of the tenth of 255 codes, below which smooth black is equal, and the most below it.
+_TENTH, _BLACK = 3e-3, 0.95
 _SEPARATION = 32  # how far from others, as a share of the longer side
 _NOT_ONE = 9.0  # severity of such a picture, above those of what is wrong with a material's
 _CELLS = 4.0  # cells of the coarser grid of a wide blur to its deviation
@@ -194,19 +196,30 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     fine = float((blurred(light, 1.0) - blurred(light, 8.0)).std())
     # Smooth paint has equal neighbours, but no equal pixels a 32nd of the width apart.
     far = max(1, max(pixels.shape[:2]) // _SEPARATION)
-    equal = min(_equal(pixels[far:], pixels[:-far]), _equal(pixels[:, far:], pixels[:, :-far]))
+    far_on, before, whole = slice(far, None), slice(-far), slice(None)
+    pairs = [((far_on, whole), (before, whole)), ((whole, far_on), (whole, before))]
+    same = [(pixels[one] == pixels[other]).all(axis=2) for one, other in pairs]
+    equal = min(float(each.mean()) for each in same)
+    # Black gloss lit by a flash is in few codes: no drawing.
+    dark = (pixels.max(axis=2) < _TENTH) & (falloff > CHECKS["flash"].limits[0])
+    black = equal - min(
+        float((each & ~dark[one]).mean()) for each, (one, _) in zip(same, pairs, strict=True)
+    )
     mixed = float(np.sqrt(np.mean(np.square(unevenness(pixels, place)))))
     height, width = pixels.shape[:2]
     original, square = "give the photograph as the camera wrote it", "square above a flat sample"
     if fine < _BLANK:
         what, why = "the picture is one plain colour, without any texture", "nothing to measure"
         do = "photograph a material with its texture in focus, lit by the flash"
-    elif equal > _EQUAL:
+    elif equal - black > _EQUAL:
         what = (
             "the picture looks like a screenshot or a drawing, or is far overexposed: "
             f"{100.0 * equal:.0f} % of its pixels are exactly as others a 32nd of the width away"
         )
         why, do = "no photograph of a material has as many", original
+    elif equal > _EQUAL and dark.mean() > _BLACK:
+        what = f"{dark.mean():.0%} of the picture is black, in ten of 255 levels"
+        why, do = "too short an exposure", f"photograph brighter or from nearer, {square}"
     elif (
         falloff < CHECKS["flash"].limits[2]
         and not photo.flash_fired
@@ -224,11 +237,6 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     else:
         return check.rated(True, Rating.GOOD)
     return check.rated(False, Rating.FAILED, _NOT_ONE, what=what, why=why, do=do)
-
-
-def _equal(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
-    """Share of pixels (H, W, 3) that are equal in both."""
-    return float((one == other).all(axis=2).mean())
 
 
 def _flash(photo: Photo, falloff: float) -> Finding:

@@ -106,6 +106,19 @@ def test_a_channel_that_the_file_cannot_hold_changes_nothing_else():
     assert shares[0] == pytest.approx(shares[1], rel=0.15)
 
 
+def test_blue_paint_outside_srgb_has_a_white_highlight():
+    """Its green is negative: cut off at 0 beside the highlight, and in it less light than red."""
+    setup, photo = made(diffuse=(0.02, 0.02, 0.3), roughness=0.4, intensity=6.0)
+    none = photograph(setup, diffuse=(1e-6,) * 3, roughness=0.4).pixels[..., 1]
+    pixels = photo.pixels.copy()
+    pixels[..., 1] = (none - (pixels[..., 1] - none)).clip(0.0)
+    assert (pixels[..., 1] == 0.0).mean() > 0.3
+    found = fit_coarse(replace(photo, pixels=pixels, radiometric=False))
+    red, green, _ = found.setup.intensity
+    # With a positive albedo 1.11, and 0.22.
+    assert red / green == pytest.approx(1.0, abs=0.05) and found.residual < 0.06
+
+
 def test_a_known_tilt_is_held():
     """Though the photograph alone would tell another one."""
     known = (0.13, 0.03)

@@ -22,7 +22,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.inspection import _darker, photograph_quality
 from matcap.cli.main import main
 from matcap.errors import MatcapError
-from matcap.files.color import srgb_decode
+from matcap.files.color import srgb_decode, srgb_encode
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.calibrate import PATCHES, calibrated, card_sentence, fit_patches, read_card
@@ -115,6 +115,18 @@ def photo_of(pixels: np.ndarray, **changes):
 def test_a_good_photograph_is_called_good():
     found = inspect_photo(photo_of(grey(), radiometric=True, flash_fired=True), (0.01, 0.0))
     assert found.rating.fit and found["hot_spot"].value == pytest.approx([0.5, 0.5], abs=0.02)
+
+
+@pytest.mark.parametrize(("stops", "says"), [(-4.5, ""), (-8.0, "of the picture is black")])
+def test_even_black_gloss_is_no_screenshot(stops, says):
+    """A highlight on black in a few of 255 codes; exposed still shorter, the picture is black."""
+    light = 2.0**stops * take(flat(0.2, albedo=0.02), CAMERA, SETUPS[0]).linear
+    codes = np.round(255.0 * srgb_encode(light.clip(0.0, 1.0).astype(np.float32))) / 255.0
+    pixels = srgb_decode(codes.astype(np.float32))
+    far = CAMERA.width // 32
+    assert (pixels[far:] == pixels[:-far]).all(2).mean() > 0.4
+    subject = inspect_photo(photo_of(pixels))["subject"]
+    assert subject.rating is (Rating.FAILED if says else Rating.GOOD) and says in subject.says
 
 
 def test_a_flat_grey_is_not_called_sharp():

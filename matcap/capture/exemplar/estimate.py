@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.exemplar.detail_transfer import transfer_detail
+from matcap.capture.exemplar.glints import without_glints
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.lattice_relief import averaged_over_cells
 from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
@@ -163,7 +164,8 @@ def estimate_exemplar(
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
-        exemplar = transfer_detail(exemplar, whole, coarse, copies)
+        matte = whole if prediction.metal.any() else without_glints(whole, coarse)
+        exemplar = transfer_detail(exemplar, matte, coarse, copies)
         exemplar = without_white_marks(exemplar, observed)
         scale = known.scale(exemplar, prediction.metal)
         exemplar = known.rougher(scaled(exemplar, scale)).rounded()

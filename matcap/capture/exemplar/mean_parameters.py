@@ -26,6 +26,7 @@ from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE
+from matcap.flash.coarse.cells import CRUSHED
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0, Gaussian
 from matcap.flash.least_squares import huber, minimised
 from matcap.flash.light import DARKEST, FlashLight
@@ -351,7 +352,9 @@ class _RingFit:
         self._rings = _Rings(target, shares)
         self._incidence = target.flash.onto(target.normal)
         means = self._rings.means(target.linear.clamp_max(target.limit))
-        self._observed = means.clamp_min(DARKEST).log().flatten()
+        # As in the coarse fit: a channel near 0 may be clipped by the colour space.
+        self._toe = DARKEST + CRUSHED * means.amax(1, keepdim=True)
+        self._observed = (means + self._toe).log().flatten()
         self._counts = self._rings.counts.flatten() / _NOISE**2
         clipped = self._rings.means((~target.measured).float()).flatten()
         self._open = (1.0 - clipped / BOUND).clamp(0.0, 1.0)
@@ -365,7 +368,7 @@ class _RingFit:
         for share, surface in zip(self._shares, surfaces, strict=True):
             radiance = radiance + share * self._incidence.radiance(*surface)
         rendered = self._rings.means(radiance)
-        return self._observed - rendered.clamp_min(DARKEST).log().flatten()
+        return self._observed - (rendered + self._toe).log().flatten()
 
     def weights(self, residual: Tensor) -> Tensor:
         """(N,) weights of residuals; that of a clipped ring's is small if the model is brighter."""
@@ -408,7 +411,7 @@ class _RingFit:
             by_gloss = mirrored * lobe.log_specular, mirrored * lobe.logit_roughness
             parts.append([share * each for each in (matte, *by_gloss)])
             whole = whole + share * (matte + mirrored)
-        mean = means(whole).clamp_min(DARKEST)
+        mean = means(whole) + self._toe
         columns = []
         for matte, *gloss in parts:
             albedo = means(matte) / mean

@@ -7,7 +7,8 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
 3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints;
 4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
    (mean_parameters.py);
-5. refine_albedo: residual log radiance is assigned to the albedo of every texel, of metal to F0;
+5. refine_albedo: residual log radiance, less white glints of coloured materials (glints.py), is
+   assigned to the albedo of every texel, of metal to F0;
 6. evened_albedo, flatten, with_photographed_mean: glints of black gloss are taken off albedo, as 1,
    and the mean radiance is the photograph's;
 7. refitted_to_highlight, after inpainting, where light above white is measured: F0 and roughness
@@ -53,6 +54,7 @@ from matcap.brdf.cook_torrance import (
     ROUGHNESS_LIMITS,
     SurfaceParameters,
 )
+from matcap.capture.exemplar.glints import without_glints
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
     MeanParameterPrior,
@@ -132,7 +134,9 @@ def refine_maps(
         fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise, spectrum
     )
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
-    photograph, metal = (plane.linear, observed.shown), fitted.classes.metal_share
+    metal = fitted.classes.metal_share
+    matte = plane if bool(metal.any()) else without_glints(plane, observed.coarse)
+    photograph = matte.linear, observed.shown
     refined = refine_albedo(
         fitted.residuals,
         fitted.errors,

@@ -4,6 +4,7 @@ them (docs/notes/capture.md).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -181,6 +182,9 @@ _SHARPNESS = 3.0
 _SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours overlap
 # Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
 _MOST_FACTOR = 30.0
+# Error of a direction's share over squared slopes: without, a steep rock gets a grain it lacks.
+_BY_STEEPNESS = 4.0
+_BY_DIRECTION = 1.0  # scale of the Cauchy prior of a direction's log factor
 _LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
 
 Height = NDArray[np.float32]
@@ -191,14 +195,19 @@ DIRECTIONS = 6
 
 @dataclass(frozen=True)
 class ReliefSpectrum:
-    """Root-mean-square amplitudes per band and direction, (len(BANDS), DIRECTIONS) each."""
+    """Relief and albedo per band and direction, (len(BANDS), DIRECTIONS) each."""
 
     albedo: Doubles
     """Amplitude of log albedo, sqrt(A)."""
     slope: Doubles
     """Amplitude of the slope along the direction, sqrt(S)."""
-    deviation: Doubles
-    """(len(BANDS),) standard deviation of the slope energy, summed over directions."""
+    error: Doubles
+    """Standard error of the slope energy S."""
+
+    @property
+    def deviation(self) -> Doubles:
+        """(len(BANDS),) standard deviation of the slope energy, summed over directions."""
+        return np.asarray(np.sqrt(np.square(self.error).sum(1)), np.float64)
 
     @property
     def relief(self) -> float:
@@ -254,7 +263,7 @@ def measure_relief_spectrum(
     albedo, slope, error = _regressed(
         energy - white, white, _responses(matte, sensitivity, use, cuts)
     )
-    return ReliefSpectrum(np.sqrt(albedo), np.sqrt(slope), np.sqrt(np.square(error).sum(1)))
+    return ReliefSpectrum(np.sqrt(albedo), np.sqrt(slope), error)
 
 
 def _seen(use: NDArray[np.bool_] | NDArray[np.float32], cuts: list[tuple[slice, slice]]) -> Doubles:
@@ -474,7 +483,44 @@ def equalise(
     for _ in range(_SCALINGS):
         here = slope_energies(_sum(factors, even))
         factors = (factors * np.sqrt(wanted / here)).clip(1.0 / _MOST_FACTOR, _MOST_FACTOR)
-    return _sum(factors, even)
+    whole = _sum(factors, even)
+    return whole if spectrum is None else _turned(whole, spectrum, margin)
+
+
+def _turned(height: Height, spectrum: ReliefSpectrum, margin: int) -> Height:
+    """A height (H, W) whose directions have their measured shares of slope energy.
+
+    The network draws bumps where grooves are brushed. With the shares p_bk of directions k in band
+    b, the measured ones q_bk and d_bk, the error of S_bk over the band's sum and, as shading is of
+    first order, _BY_STEEPNESS times the squared slopes of all,
+
+        minimise  sum_b ((p_bk e^{y_k} - q_bk) / d_bk)^2 + 2 log(1 + (y_k / _BY_DIRECTION)^2)
+
+    over the log factors y_k of all bands, whose prior is Cauchy's: most shares are predicted right,
+    some not at all. Each band's energy is kept.
+    """
+    energy = np.square(slope_spectrum(height)).clip(_LEAST_SLOPE**2)
+    share = energy / energy.sum(1, keepdims=True)
+    measured = np.square(spectrum.slope)
+    total = measured.sum(1, keepdims=True) + _LEAST_SLOPE**2
+    error = (spectrum.error + _LEAST_SLOPE**2) / total
+    error = np.hypot(error, _BY_STEEPNESS * spectrum.relief**2)
+    logs = np.arange(-_MOST_LOG, _MOST_LOG + _POSTERIOR_STEP / 2.0, _POSTERIOR_STEP)
+    off = (share[..., None] * np.exp(logs) - (measured / total)[..., None]) / error[..., None]
+    prior = 2.0 * np.log1p(np.square(logs / _BY_DIRECTION))
+    factor = np.exp(logs[(np.square(off).sum(0) + prior).argmin(-1)])
+    kept = share @ factor  # of each band's energy
+
+    padded = np.pad(height, margin, mode="reflect")
+    down, across = (np.fft.fftfreq(padded.shape[0]), np.fft.rfftfreq(padded.shape[1]))
+    octave = np.log2(np.maximum(np.hypot(down[:, None], across), 1e-9))
+    angle = np.arctan2(-down[:, None], across + np.zeros_like(octave))
+    middles = [-0.5 * math.log2(longest * shortest) for longest, shortest in BANDS]
+    steps = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    gain = np.interp(angle, steps, factor, period=np.pi) / np.interp(octave, middles, kept)
+    waves = np.fft.rfft2(padded) * np.sqrt(gain)
+    inside = tuple(slice(margin, margin + side) for side in height.shape)
+    return np.fft.irfft2(waves, s=padded.shape)[inside].astype(np.float32)
 
 
 def _sum(factors: Doubles, bands: Height) -> Height:

@@ -230,9 +230,7 @@ def scaled_by_ratio(
     ratio = Ratio.of(views, parameters, light)
     spectrum = measure_relief_spectrum(ratio.log, ratio.sensitivity, ratio.use, matte=ratio.matte)
     # A registration error below a texel looks like fine relief.
-    uncertain = [shortest < _FINEST for _, shortest in BANDS]
-    spectrum = spectrum and replace(
-        spectrum, deviation=np.where(uncertain, np.inf, spectrum.deviation)
-    )
+    uncertain = np.array([[shortest < _FINEST] for _, shortest in BANDS])
+    spectrum = spectrum and replace(spectrum, error=np.where(uncertain, np.inf, spectrum.error))
     even = equalise(texels, spectrum, ratio.sensitivity)
     return texel * torch.from_numpy(split(texels)[-1] + even)[None]

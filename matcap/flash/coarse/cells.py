@@ -25,6 +25,7 @@ from matcap.photo.photo import FULL, Photo
 # log L = log(a E / pi + specular(F0, r) E) - vignetting.
 
 _DARKEST = 1e-12  # radiance added before logarithms
+_OUTSIDE = 0.1  # of the largest channel of albedo, by which the least may be below 0
 BLACK = 0.005  # diffuse albedo of a conductor over its F0
 
 
@@ -95,7 +96,8 @@ def log_radiance(
     points = camera[:, None, None] + along * ray
     light = FlashLight.between(points, camera, flash, unknowns.flash.exp()[:, None, None])
     incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
-    colour = unknowns.albedo.exp()[:, None, None]
+    albedo = unknowns.albedo.exp() if conductor else signed_albedo(unknowns.albedo)
+    colour = albedo[:, None, None]
     surface = Reflectance(
         colour * (BLACK if conductor else 1.0),
         colour if conductor else unknowns.specular.exp()[:, None, None],
@@ -103,9 +105,19 @@ def log_radiance(
     )
     lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
     matte, mirrored = incidence.matte(surface.diffuse), incidence.mirrored(*surface[1:])
-    radiance = (matte + mirrored) * incidence.irradiance
+    radiance = ((matte + mirrored) * incidence.irradiance).clamp_min(0.0)
     share = matte.mean(0) / (matte + mirrored).mean(0).clamp_min(_DARKEST)
     return ((radiance + _DARKEST).log() + lost).flatten(1), share.flatten()
+
+
+def signed_albedo(log: Tensor) -> Tensor:
+    """(3,) diffuse albedo of its unknown; of a colour outside sRGB the least channel is negative.
+
+    A file clips it at 0 except under the highlight, where it darkens the channel. With a positive
+    one, the flash would take that colour: pink, of a blue paint.
+    """
+    positive = log.exp()
+    return positive - _OUTSIDE * (positive.max() - positive)
 
 
 def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
@@ -142,7 +154,7 @@ _ABOVE_KNEE = 0.25  # factor on the residual of a model brighter than such a cel
 _HIDDEN = 0.02  # share of cells clipped in all channels above which a highlight may be hidden
 # Share of a developed cell's brightest channel added to all of them before the logarithm, as dark
 # channels of saturated colours are clipped by the colour space.
-_CRUSHED = 0.02
+CRUSHED = 0.02
 
 
 @dataclass(frozen=True)
@@ -228,7 +240,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
         above = np.where(above < 1.0, 0.0, 1.0)
     toe = np.full_like(small, 1e-3 * float(np.median(photo.pixels[::8, ::8])) + 1e-9)
     if not photo.radiometric:
-        toe += _CRUSHED * small.max(axis=2, keepdims=True)
+        toe += CRUSHED * small.max(axis=2, keepdims=True)
     u = (left + (np.arange(size[0]) + 0.5) * (right - left) / size[0]) * 2.0 / columns - 1.0
     v = (rows - 2.0 * (top + (np.arange(size[1]) + 0.5) * (bottom - top) / size[1])) / columns
     image = np.stack(np.broadcast_arrays(u[None, :], v[:, None])).reshape(2, -1)

@@ -33,7 +33,7 @@ import torch
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS
-from matcap.flash.coarse.cells import BLACK, CoarseCells, Unknowns, cells_of, numbers
+from matcap.flash.coarse.cells import BLACK, CoarseCells, Unknowns, cells_of, numbers, signed_albedo
 from matcap.flash.coarse.problem import (
     HUBER,
     TONE,
@@ -67,6 +67,7 @@ _BLUEST = 0.1  # largest log ratio of a metal's F0 in blue to red
 # Radiance of the fifth code of 8 bits, and the largest share of a developed picture below it: what
 # crushed shadows hide may be diffuse (black leather 0234: 0.66; metals at most 0.01).
 _CRUSHED, _MOST_CRUSHED = 1.5e-3, 0.5
+_DARKEST_CHANNEL = 0.01  # of albedo, over the largest
 _DULLEST = 0.8  # largest roughness of a metal, as a photograph without highlight shows none
 
 # Starting points.
@@ -245,10 +246,12 @@ def _uniform(
     best: Unknowns, fov: float, *, conductor: bool
 ) -> tuple[tuple[float, float, float], float, float, FlashSetup]:
     """Diffuse albedo, F0, roughness and setup of fitted parameters."""
-    albedo, specular = best.albedo.tolist(), float(best.specular)
+    signed = signed_albedo(best.albedo)
+    albedo = signed.clamp_min(_DARKEST_CHANNEL * float(signed.max())).log().tolist()
+    specular = float(best.specular)
     if conductor:
         specular = float(best.albedo.exp().mean().log())
-        albedo = [value + math.log(BLACK) for value in albedo]
+        albedo = (best.albedo + math.log(BLACK)).tolist()
     # Only the product with the flash's intensity is measured: limit albedo, raise the intensity.
     excess = max(0.0, max(*albedo, specular) - math.log(WHITE))
     red, green, blue = (math.exp(value - excess) for value in albedo)

@@ -19,6 +19,7 @@ from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.network.network import network_inputs
 from matcap.capture.exemplar.relief_spectrum import (
     BANDS,
+    DIRECTIONS,
     ReliefSpectrum,
     equalise,
     filled,
@@ -246,8 +247,9 @@ def slopes(height):
 
 def _estimate(slope: np.ndarray, deviation: float = 0.02) -> ReliefSpectrum:
     """Slopes measured in a photograph, with deviations that are a share of their energies."""
-    energy = np.square(slope).sum(1)
-    return ReliefSpectrum(np.zeros_like(slope), slope.copy(), deviation * energy)
+    energy = np.square(slope).sum(1, keepdims=True)
+    error = np.broadcast_to(deviation / np.sqrt(DIRECTIONS) * energy, slope.shape)
+    return ReliefSpectrum(np.zeros_like(slope), slope.copy(), error.copy())
 
 
 def _strength(height: np.ndarray, where: tuple[slice, slice]) -> tuple[float, float]:
@@ -282,10 +284,28 @@ def test_every_band_is_scaled_to_its_measured_energy() -> None:
     assert np.allclose(np.sqrt(np.square(found).sum(1)), np.sqrt(np.square(true).sum(1)), rtol=0.1)
 
 
+def test_brushed_relief_is_not_drawn_as_bumps() -> None:
+    """A network that draws bumps where a photograph shows grooves along x: slopes are across."""
+    height, _ = _grainy()
+    grain = np.random.default_rng(4).standard_normal(height.shape)
+    grooves = cv2.GaussianBlur(grain, (0, 0), 12.0, sigmaY=1.5).astype(np.float32)
+    across = np.stack(slopes(0.1 / slopes(grooves)[1].std() * grooves))
+    rows, columns = (np.linspace(-1.0, 1.0, side) for side in height.shape)
+    shows = np.stack(np.broadcast_arrays(columns, 0.7 * rows[:, None])).astype(np.float32)
+    seen = np.ones(height.shape, bool)
+    measured = measure_relief_spectrum((shows * across).sum(0), shows, seen)
+    even, found = equalise(height, None, shows), equalise(height, measured, shows)
+    ratios = [float(y.std() / x.std()) for x, y in map(slopes, (even, found))]
+    assert ratios[0] == pytest.approx(1.0, abs=0.25) and ratios[1] > 2.0
+    # And each band has the energy that it would have without directions.
+    energies = [np.square(slope_spectrum(one)).sum(1) for one in (even, found)]
+    assert energies[1].sum() == pytest.approx(np.square(measured.slope).sum(), rel=0.5)
+
+
 def test_unmeasured_bands_follow_the_measured_ones() -> None:
     height, true = _grainy()
     result = _estimate(true)
-    result.slope[:2], result.deviation[:2] = 0.0, 1.0
+    result.slope[:2], result.error[:2] = 0.0, 1.0
     found = slope_spectrum(equalise(np.asarray(0.3 * height, np.float32), result))
     ratio = np.sqrt(np.square(found[:2]).sum(1) / np.square(true[:2]).sum(1))
     assert (ratio > 0.6).all() and (ratio < 1.3).all()
