@@ -21,7 +21,6 @@ from matcap.capture.exemplar.estimate import (
     indexed,
     measured_spectrum,
     scaled_to_spectrum,
-    without_white_marks,
 )
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
@@ -64,7 +63,6 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
     exemplar = refitted_to_highlight(exemplar, observed, predicted.metal)
     exemplar = transfer_detail(exemplar, rectified.whole, coarse, copies)
-    exemplar = without_white_marks(exemplar, observed)  # glints
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
     exemplar = scaled(exemplar, scale).rounded()
     whole = rectified.whole  # fields show nothing from outside of the photograph's frame

@@ -51,11 +51,6 @@ _INSIDE = 0.9  # least share of a ring inside the picture, at other centres
 _NEAR = 12  # farthest centre of a disc of the highlight from the mirror point, cells
 _OUTLIER = 4.0  # deviations from the mean over other centres at which a ring stands out
 
-# Glints in albedo. Texels that are averaged before the local median of 5 x 5; saturation below
-# which a colour hardly tells white light from albedo; quantile of the white share of albedo in the
-# mattest part, with the least specular light, that is no glint.
-_AVERAGED, _GREY, _NO_GLINT, _MATTEST = 4, 0.1, 0.999, 0.33
-
 # Most standard deviation of the blur that removes texture from the elongation, plane units.
 _ELONGATION_BLUR = 0.03
 
@@ -278,41 +273,6 @@ def remaining_highlight(
     grown = cv2.dilate(spots.astype(np.uint8), np.ones((2 * _RING_WIDTH + 1,) * 2, np.uint8))
     texels = cv2.resize(grown, known.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
     return np.asarray(texels | ((distance < (radius + 1) * step) & (radius > 0)))
-
-
-def without_glints(albedo: Floats, specular_fraction: Floats, known: NDArray[np.bool_]) -> Floats:
-    """(3, H, W) albedo without white marks that it has in specular light only.
-
-    Grooves of a grain mirror the flash far from the mirror point, where no lobe explains them, and
-    come out as white dashes. Of a dielectric they have the flash's colour: with the local colour c
-    of mean 1, albedo is t c + s, by least squares, shrunk to s = 0 where c is grey. A material does
-    not know where the flash was, so s over the local albedo is limited to what it hardly ever
-    exceeds in the mattest part.
-
-    Args:
-        albedo: (3, H, W) diffuse albedo.
-        specular_fraction: (H, W) of radiance.
-        known: (H, W) bool, texels of the photograph.
-    """
-    if not known.any():
-        return albedo
-    local = np.stack([_local_median(plane) for plane in albedo])
-    level = local.mean(axis=0) + np.float32(1e-4)
-    tint, mean = local / level - 1.0, albedo.mean(axis=0)
-    grey = np.float32(3.0 * _GREY**2)
-    coloured = ((albedo - mean) * tint).sum(axis=0) + grey * mean
-    white = (mean - coloured / (np.square(tint).sum(axis=0) + grey)) / level
-    matte = known & (specular_fraction <= np.quantile(specular_fraction[known], _MATTEST))
-    excess = np.maximum(white - np.float32(np.quantile(white[matte], _NO_GLINT)), 0.0) * level
-    return np.asarray(np.maximum(albedo - excess * ~matte, 0.0), np.float32)
-
-
-def _local_median(plane: Floats) -> Floats:
-    """(H, W) median over about 20 x 20 texels."""
-    rows, columns = plane.shape
-    size = max(1, columns // _AVERAGED), max(1, rows // _AVERAGED)
-    thin = cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.resize(cv2.medianBlur(thin, 5), (columns, rows)), np.float32)
 
 
 def _radius(scores: list[float]) -> int:

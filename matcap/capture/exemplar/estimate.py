@@ -4,17 +4,16 @@ In comes a photograph on its plane (Rectified), out goes an ExemplarEstimate. Th
 maps (predict.py); relief is scaled to the energies that the photograph measures
 (relief_spectrum.py), and texels are classified (predict.py); mean parameters and albedo
 are refined until the maps re-render to the photograph (refine.py); hidden maps are inpainted
-(inpaint.py), fine detail and the exposure are added (detail_transfer.py, mean_parameters.py),
-white glints taken off albedo (flash/highlight.py); the result is indexed for synthesis.
+(inpaint.py), fine detail and the exposure are added (detail_transfer.py, mean_parameters.py); the
+result is indexed for synthesis.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -52,7 +51,6 @@ from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 from matcap.example.variety import with_chosen_variety, with_least_steps
 from matcap.flash.coarse.fit import CoarseFit
-from matcap.flash.highlight import without_glints
 from matcap.flash.rectify import Plane
 from matcap.photo.left_out import largest_rectangle
 from matcap.statistics.lattice import Wave
@@ -166,7 +164,6 @@ def estimate_exemplar(
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
         matte = whole if prediction.metal.any() else without_glints(whole, coarse)
         exemplar = transfer_detail(exemplar, matte, coarse, copies)
-        exemplar = without_white_marks(exemplar, observed)
         scale = known.scale(exemplar, prediction.metal)
         exemplar = known.rougher(scaled(exemplar, scale)).rounded()
     with clock.stage("index"):
@@ -265,18 +262,6 @@ def _shown(kept: TexelMask) -> Frame | None:
     if kept[rows, columns].sum() < _MOST_KEPT * kept.sum():
         return None
     return Frame(columns.start, rows.start, columns.stop - 1, rows.stop - 1)
-
-
-def without_white_marks(exemplar: Exemplar, observed: Observation) -> Exemplar:
-    """The exemplar, in full detail, without glints in albedo (without_glints)."""
-
-    def enlarged(plane: NDArray[Any]) -> NDArray[np.float32]:
-        size = exemplar.size
-        return np.asarray(cv2.resize(plane.astype(np.float32), size), np.float32)
-
-    known = enlarged(observed.plane.kept.numpy()) > 1.0 - 1e-3
-    gloss = enlarged(observed.specular_fraction)
-    return replace(exemplar, diffuse=without_glints(exemplar.diffuse, gloss, known))
 
 
 def measured_spectrum(observed: Observation) -> ReliefSpectrum | None:

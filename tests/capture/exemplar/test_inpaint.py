@@ -16,7 +16,7 @@ from matcap.capture.exemplar.predict import albedo_weight, exemplar_of, predict_
 from matcap.capture.exemplar.refine import refine_maps
 from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
-from matcap.flash.highlight import remaining_highlight, without_glints
+from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
 
 # Rings of albedo around the mirror point.
@@ -107,27 +107,6 @@ def test_shading_across_the_picture_does_not_hide_a_halo():
 
 def test_a_mirror_point_outside_of_the_picture_is_none():
     assert not remaining_highlight(texture(4), KNOWN, away((-300.0, 900.0))).any()
-
-
-@pytest.mark.parametrize("colour", [(1.0, 0.5, 0.25), (0.7, 0.7, 0.7)], ids=["wood", "grey"])
-def test_white_dashes_are_taken_off_where_light_is_specular(colour):
-    """Grooves mirror the flash; dots of the material's own colour are its own, and so is grey."""
-    albedo = 0.3 * np.array(colour)[:, None, None] * texture(4) / texture(4).mean()
-    random, gloss = np.random.default_rng(1), np.exp(-0.5 * np.square(away(MIRROR) / 120.0))
-    dashes, dots = np.zeros((2, HEIGHT, WIDTH), np.bool_)
-    for into in (dashes, dots):
-        for y, x in random.integers((90, 140), (270, 320), size=(60, 2)):
-            into[y, x : x + 6] = True
-    dots &= ~dashes
-    marked = np.where(dots, 1.8, 1.0) * albedo + 0.3 * dashes
-    found = without_glints(marked.astype(np.float32), gloss.astype(np.float32), KNOWN)
-    left = np.abs(found - albedo)[:, dashes].mean() / 0.3
-    assert left < 0.4 if colour[2] < 0.5 else left > 0.9
-    assert found[:, ~dashes] == pytest.approx(marked[:, ~dashes], abs=0.02)
-    # As many far from the mirror point are the material's own.
-    everywhere = marked + 0.3 * (random.random((HEIGHT, WIDTH)) < 0.02)
-    found = without_glints(everywhere.astype(np.float32), gloss.astype(np.float32), KNOWN)
-    assert np.abs(found - everywhere)[:, dashes].mean() < 0.15
 
 
 def test_a_spot_in_albedo_is_inpainted():
