@@ -22,6 +22,7 @@ from matcap.capture.exemplar.estimate import (
     measured_spectrum,
     scaled_to_spectrum,
 )
+from matcap.capture.exemplar.glints import without_glints
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.mean_parameters import most_probable_scale, scaled
 from matcap.capture.exemplar.network.network import load_inverse
@@ -62,7 +63,10 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
 
     exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
     exemplar = refitted_to_highlight(exemplar, observed, predicted.metal)
-    exemplar = transfer_detail(exemplar, rectified.whole, coarse, copies)
+    matte = rectified.whole  # glints of a dielectric are no albedo
+    if not predicted.metal.any():
+        matte = without_glints(matte, coarse)
+    exemplar = transfer_detail(exemplar, matte, coarse, copies)
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
     exemplar = scaled(exemplar, scale).rounded()
     whole = rectified.whole  # fields show nothing from outside of the photograph's frame
