@@ -59,7 +59,7 @@ _PHOTOGRAPH_WEIGHT = 0.7
 # measured above white granite's have 0.2 of it, leather's 0.4 to 0.67, a scratch's 0.77 and more.
 _MOST_ENERGY, _VISIBLE_SHARE, _OWN_ENERGY = 2.0, 0.5, 0.7
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
-_AT_ONCE = 128  # candidates compared at a time, whose texels a processor's cache holds
+_AT_ONCE = 64  # candidates compared at a time, whose texels a processor's cache holds
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _PLAIN = 0.5  # variance to which that of both sides of an overlap is added
@@ -126,7 +126,7 @@ class _MapPlanes:
     high_passed: Floats
     """(6, H, W) these maps with height high-passed, as low frequencies are not copied."""
     features: Floats
-    """(H, W, 4) channel mean of log albedo, and slopes (x, down), each over its deviation; 0."""
+    """(3, H, W) channel mean of log albedo, and slopes (x, down), each over its deviation."""
 
 
 @one_thread()
@@ -312,7 +312,7 @@ def _choose(
             chosen[place] = source
         there = _block(source)
         copied[there] |= ~known[here]
-        seen[here] = np.where(known[here][..., None], seen[here], planes.features[there])
+        seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
         known[here] = True
     return chosen
 
@@ -351,21 +351,18 @@ def _discontinuity(
     rows, columns = 2 * np.array(np.nonzero(known[here]))
     if not rows.size:
         return np.zeros(len(blocks), np.float32)
-    shown, count = seen[place[0] + rows, place[1] + columns], np.float32(rows.size)
-    varied, shown = 3.0 * (shown[:, :3].var(axis=0).mean() + _PLAIN), shown.ravel()
-    channels = np.tile(np.eye(4, dtype=np.float32) / count, (rows.size, 1))
-    even = channels.sum(1)
-    flat, across = donor.view(np.complex128).ravel(), donor.shape[1]  # four numbers in one
+    shown = seen[:, None, place[0] + rows, place[1] + columns]
+    varied, even = shown.var(axis=-1).mean() + _PLAIN, np.ones(rows.size, np.float32) / rows.size
+    flat, across = donor.reshape(len(donor), -1), donor.shape[2]
     corners, texels = blocks @ [across, 1], rows * across + columns
     mismatch = []
     for first in range(0, len(corners), _AT_ONCE):
         each = corners[first : first + _AT_ONCE, None] + texels
-        copied = flat.take(each, mode="clip").view(np.float32)  # without a second pass for bounds
-        square = np.einsum("nk,nk->n", copied, copied) / count
-        variance = square - np.square(copied @ channels).sum(1)
+        copied = np.take(flat, each, axis=1, mode="clip")  # without a second pass for bounds
+        variance = np.einsum("cnk,cnk->cn", copied, copied) / rows.size - np.square(copied @ even)
         np.square(np.subtract(copied, shown, out=copied), out=copied)
         difference = np.minimum(copied, np.float32(_FARTHEST), out=copied) @ even
-        mismatch.append(difference / (variance + varied))
+        mismatch.append(difference.mean(0) / (variance.mean(0) + varied))
     return np.concatenate(mismatch).astype(np.float32)
 
 
@@ -399,7 +396,7 @@ def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:
     lightness = np.log(exemplar.diffuse.clip(1e-3)).mean(0)
     steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
     lightness /= lightness[known].std() + 1e-3
-    features = np.stack([lightness, across / steep, down / steep, 0.0 * fine], axis=-1)
+    features = np.stack([lightness, across / steep, down / steep])
     return _MapPlanes(stacked, high_passed, features.astype(np.float32))
 
 
