@@ -27,6 +27,7 @@ from matcap.capture.multiview.set_report import draw_predicted, draw_set
 from matcap.capture.result import CaptureResult
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
+from matcap.files.pixels import png_bytes
 from matcap.flash.geometry import FlashSetup, points_of
 from matcap.flash.light import render_flash, render_rectified, shade
 from matcap.flash.rectify import picture_of
@@ -154,7 +155,7 @@ def write_preview(result: CaptureResult, path: Path) -> None:
     """
     sheet = draw_sheet(result)
     with Output.file(path) as staged, staged.open("wb") as file:
-        sheet.save(file, "PNG", compress_level=1)  # four times as fast as 6, a twentieth larger
+        file.write(png_bytes(np.asarray(sheet)))  # in half of Pillow's time
 
 
 def draw_sheet(result: CaptureResult) -> Image.Image:

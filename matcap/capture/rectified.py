@@ -232,8 +232,9 @@ def fill_masked(plane: Plane, uniform: Uniform) -> Plane:
     light = FlashLight.of(uniform.setup, resized(points, size))
     flat = resized(uniform_radiance(uniform, light)[0], (height, width)).clamp_min(1e-6)
     rows, columns = (torch.from_numpy(at) for at in mirrored(plane.left_out.numpy()))
-    shown = plane.linear[:, rows, columns] * (flat / flat[:, rows, columns])
-    return replace(plane, linear=torch.where(plane.left_out, shown, plane.linear))
+    linear, ratio = plane.linear.clone(), flat[:, plane.left_out] / flat[:, rows, columns]
+    linear[:, plane.left_out] = plane.linear[:, rows, columns] * ratio
+    return replace(plane, linear=linear)
 
 
 # Observation: a rectified photograph, its light at every texel, and the network's inputs.

@@ -192,7 +192,7 @@ def quiet_decoders() -> AbstractContextManager[None]:
 # Cores, checks of free memory, reuse of large buffers by glibc, rarer garbage collection.
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8  # malloc.h
-_MOST_RESIDENT = 700_000_000  # bytes from which kept memory is returned
+_MOST_RESIDENT = 1_500_000_000  # bytes from which kept memory is returned
 
 
 def cores() -> int:

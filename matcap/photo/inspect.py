@@ -89,16 +89,17 @@ def inspect_photo(photo: Photo, tilt: tuple[float, float] | None = None) -> Insp
         tilt: (tilt_x, tilt_y) of the coarse fit, radians, or None.
     """
     place, falloff = hot_spot(photo)
+    tiles = unevenness(photo.pixels, place)
     return Inspection(
         photo.name,
         (
-            _subject(photo, place, falloff),
+            _subject(photo, tiles, falloff),
             _flash(photo, falloff),
             CHECKS["clipped"].finding(photo.clipped_share),
             _hot_spot(photo, place),
             _tilt(photo, tilt),
             _sharpness(photo),
-            _stationarity(photo, place),
+            _stationarity(photo, tiles),
             _radiometric(photo),
             *_reading(photo),
             *_border(photo),
@@ -189,8 +190,8 @@ def unevenness(pixels: NDArray[np.float32], place: tuple[float, float]) -> Value
     return np.sqrt(total)
 
 
-def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Finding:
-    """Whether there is a material to capture; the first reason against it."""
+def _subject(photo: Photo, tiles: Values, falloff: float) -> Finding:
+    """Whether there is a material to capture, by its unevenness; the first reason against it."""
     pixels, check = photo.pixels, CHECKS["subject"]
     light = _log(channel_mean(pixels))
     fine = float((blurred(light, 1.0) - blurred(light, 8.0)).std())
@@ -205,7 +206,7 @@ def _subject(photo: Photo, place: tuple[float, float], falloff: float) -> Findin
     black = equal - min(
         float((each & ~dark[one]).mean()) for each, (one, _) in zip(same, pairs, strict=True)
     )
-    mixed = float(np.sqrt(np.mean(np.square(unevenness(pixels, place)))))
+    mixed = float(np.sqrt(np.mean(np.square(tiles))))
     height, width = pixels.shape[:2]
     original, square = "give the photograph as the camera wrote it", "square above a flat sample"
     if fine < _BLANK:
@@ -291,8 +292,7 @@ def _sharpness(photo: Photo) -> Finding:
     return CHECKS["sharpness"].finding(blur, details=2.0 * blur, width=across)
 
 
-def _stationarity(photo: Photo, place: tuple[float, float]) -> Finding:
-    tiles = unevenness(photo.pixels, place)
+def _stationarity(photo: Photo, tiles: Values) -> Finding:
     rows, columns = tiles.shape
     row, column = divmod(int(tiles.argmax()), columns)
     where = whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))

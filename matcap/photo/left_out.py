@@ -233,11 +233,17 @@ def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Ph
             "paint the material white (or leave it opaque), and only the rest black",
         )
     places = mirrored(left_out)
+
+    def filled(planes: NDArray[Any]) -> NDArray[Any]:
+        whole = planes.copy()
+        whole[left_out] = planes[places]
+        return whole
+
     return replace(
         photo,
-        pixels=np.ascontiguousarray(photo.pixels[places]),
-        clipped=np.ascontiguousarray(photo.clipped[places]),
-        noise=None if photo.noise is None else np.ascontiguousarray(photo.noise[places]),
+        pixels=filled(photo.pixels),
+        clipped=filled(photo.clipped),
+        noise=None if photo.noise is None else filled(photo.noise),
         stored_clipped_share=None,
         left_out=left_out,
         notes=(*photo.notes, f"{100 * left_out.mean():.0f} % of the photograph is left out."),
@@ -310,7 +316,7 @@ def largest_rectangle(kept: Kept) -> tuple[slice, slice]:
 
 
 def mirrored(left_out: Kept) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """(H, W) rows and columns to read each pixel from: itself, or a mirrored one if left out.
+    """(n,) rows and columns of mirrored pixels, which those left out (H, W) are read from.
 
     Mirrored at the nearest pixel that is kept; the distance beyond it is folded at _FOLDED of the
     picture's shorter side.
@@ -319,16 +325,14 @@ def mirrored(left_out: Kept) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     _, labels = cv2.distanceTransformWithLabels(
         left_out.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    y, x = np.indices(left_out.shape)
+    y, x = np.nonzero(left_out)
     kept = ~left_out
     nearest = np.zeros(int(labels.max()) + 1, np.int64)
     nearest[labels[kept]] = np.flatnonzero(kept)
-    at = nearest[labels]
-    near_y, near_x = at // columns, at % columns
+    near_y, near_x = np.divmod(nearest[labels[left_out]], columns)
     distance = np.hypot(near_y - y, near_x - x)
     reach = max(1.0, _FOLDED * min(rows, columns))
-    folded = reach - np.abs(distance % (2.0 * reach) - reach)
-    share = np.where(left_out, folded / np.maximum(distance, 1e-9), 0.0)
+    share = (reach - np.abs(distance % (2.0 * reach) - reach)) / np.maximum(distance, 1e-9)
     to_y = np.rint(near_y + share * (near_y - y)).astype(np.intp).clip(0, rows - 1)
     to_x = np.rint(near_x + share * (near_x - x)).astype(np.intp).clip(0, columns - 1)
     # Where the mirrored pixel is left out, too, the nearest kept pixel is used.

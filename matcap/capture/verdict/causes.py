@@ -124,12 +124,13 @@ def highlight_profile(
 
     Args:
         pictures: (H, W, 3) radiance of photograph and re-rendering on the plane's grid, clipped
-            alike.
+            alike; one picture may be both.
         seen: (H, W) bool, inside of the photograph.
         measured: (H, W) bool, `seen` and not clipped.
         limit: radiance at which the pictures are clipped.
     """
-    lights = [channel_mean(picture) for picture in pictures]
+    different = pictures[0] is not pictures[1]
+    lights = [channel_mean(picture) for picture in pictures[: 1 + different]]
     distance, matte = from_mirror_point(setup, seen.shape), _matte(setup, seen.shape)
     rings = [
         seen & (distance >= inner) & (distance < outer)
@@ -141,12 +142,12 @@ def highlight_profile(
     profiles = np.maximum(profiles, _DARKEST)  # a ring may be black
     profiles /= profiles[-1]
     reach = _reach(profiles[:, 0])
-    region = seen & measured & (lights[1] < limit) & (distance < reach)
-    glints = [_octaves(one, region) for one in lights] if region.mean() >= LEAST_SHARE else [[], []]
+    region = seen & measured & (lights[-1] < limit) & (distance < reach)
+    glints = [_octaves(one, region) for one in lights] if region.mean() >= LEAST_SHARE else [[]]
     return HighlightProfile(
-        tuple((float(before), float(after)) for before, after in profiles),
+        tuple((float(ring[0]), float(ring[-1])) for ring in profiles),
         tuple(float((~measured[ring]).mean()) for ring in rings),
-        tuple(zip(*glints, strict=True)),
+        tuple(zip(glints[0], glints[-1], strict=True)),
     )
 
 

@@ -129,6 +129,13 @@ _CELLS_THAT_COUNT = 600.0
 _BRIGHTENING = 0.02  # prior deviation of negative falloff, which ambient light imitates
 # Albedo of a white surface, and prior deviation of the logarithm beyond it.
 WHITE, _WHITER = 0.8, 0.1
+# Bounds of the parameters, and the prior's deviation beyond them.
+_FREE = Unknowns.of(torch.full((17,), math.inf, dtype=torch.float64))
+_LEAST = replace(Unknowns.of(-_FREE.vector()), vignetting=numbers(0.0, 0.0)).vector()
+_MOST = replace(_FREE, albedo=numbers(*[math.log(WHITE)] * 3)).vector()
+_BEYOND = replace(
+    _FREE, albedo=numbers(*[_WHITER] * 3), vignetting=numbers(*[_BRIGHTENING] * 2)
+).vector()
 _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of channels
 _MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
 _LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
@@ -326,16 +333,8 @@ class Problem:
 
         Falloff is positive, and no albedo, nor F0 of a conductor, is above WHITE.
         """
-        unknowns, none = Unknowns.of(parameters), Unknowns.of(torch.zeros_like(parameters))
-        whiter = (unknowns.albedo - math.log(WHITE)).clamp_min(0.0)
-        brighter = unknowns.vignetting.clamp_max(0.0)
-        excess = replace(none, albedo=whiter, vignetting=brighter).vector()
-        precision = replace(
-            none,
-            albedo=torch.full_like(whiter, self.unit / _WHITER**2),
-            vignetting=torch.full_like(brighter, self.unit / _BRIGHTENING**2),
-        ).vector()
-        return excess, torch.where(excess == 0.0, 0.0, precision)
+        excess = parameters - parameters.clamp(_LEAST, _MOST)
+        return excess, torch.where(excess == 0.0, 0.0, self.unit / _BEYOND.square())
 
     def cost(self, parameters: Tensor, r: Tensor | None = None) -> float:
         """Cost at the parameters; `r` are the residuals there, if they are known."""
