@@ -70,63 +70,84 @@ def poisson(divergence: HeightPlane, across: float = 1.0, down: float = 1.0) -> 
     return np.asarray(cv2.idct(waves), np.float32)
 
 
-# Height at another resolution.
+# Heights whose central differences keep slopes.
 #
-# Central differences multiply the slope of a wave of frequency w by sin(w) / w. Averaged heights so
-# lose slopes, enlarged ones gain some; resized_height keeps what the normals of a map set show.
+# Central differences show sin(w) of a wave of frequency w per texel, the surface has w. Averaged
+# heights so lose slopes, which these filters restore; enlarged ones gain.
 
-# Weight of the resampled heights against the slopes, for waves of 2 texels, which central
-# differences do not show. Smaller values ring more: a height step's slopes, 0.1 of their largest.
+# Weight of given heights against slopes, for waves of 2 texels, which central differences do not
+# show. Smaller values ring more: by a tenth of a height step's largest slope.
 _DAMPING = 0.2
+_MORE_DAMPING = 1.0  # where heights are estimates, and their finest waves noise
 _BEYOND = 16  # texels around a grid, over which corrections at its border fade
 # Pole of the cubic B-spline's inverse, and its taps on either side: 0.268^12 is 1.4e-7.
 _POLE, _SPLINE_REACH = np.sqrt(3.0) - 2.0, 12
 
 
-def resized_height(height: HeightPlane, size: tuple[int, int]) -> HeightPlane:
-    """(h, w) heights of `size` = (w, h) whose slopes are the mean slopes of given ones (H, W).
+def with_slopes_of_means(height: HeightPlane) -> HeightPlane:
+    """(H, W) heights whose slopes are those of the surface of which given ones are area means.
 
-    Slopes are central differences, and means are over the larger texels. Heights are area means or
-    cubic splines, plus the correction c that minimises
+    The mean slope over a texel is w times the mean height. By least squares, heights are multiplied
+    by
+
+        (w . sin(w) + e) / (|sin(w)|^2 + e),    e = (sin^2(w_x / 2) + sin^2(w_y / 2))^2.
+
+    Borders are mirrored.
+    """
+    rows, columns = height.shape
+    even = np.pad(height, [(0, rows % 2), (0, columns % 2)], mode="edge")  # cv2.dct requires it
+    down, across = (np.pi * np.arange(side) / side for side in even.shape)
+    damping = _damping(down[:, None], across, _MORE_DAMPING)
+    wanted = (down * np.sin(down))[:, None] + across * np.sin(across) + damping
+    shown = np.square(np.sin(down))[:, None] + np.square(np.sin(across)) + damping
+    wanted[0, 0] = shown[0, 0] = 1.0
+    gain = (wanted / shown).astype(np.float32)
+    waves = cv2.dct(even.astype(np.float32)) * gain
+    return np.ascontiguousarray(cv2.idct(waves)[:rows, :columns])
+
+
+def resized_height(height: HeightPlane, size: tuple[int, int]) -> HeightPlane:
+    """(h, w) heights of `size` = (w, h) whose slopes are those of given ones (H, W).
+
+    Larger: cubic splines. Smaller: area means plus the correction c that minimises
 
         sum |S(c) - r|^2 + _DAMPING |F^-1((sin^2(w_x / 2) + sin^2(w_y / 2)) F(c))|^2,
 
-    with S the slopes of heights on the new grid and r what is left of the mean slopes.
+    with S central differences and r what those of the area means lack of the mean slopes.
     """
     shape = size[1], size[0]
     if height.shape == shape:
         return height
-    larger = shape[1] > height.shape[1]
-    grid = height.shape if larger else shape
-    resized = spline_enlarged(height, size) if larger else _area_mean(height, shape)
-    left = _mean_slopes(height, grid) - _mean_slopes(resized, grid)
-    turns = [np.fft.fftfreq(side + 2 * _BEYOND) for side in grid]
-    frequencies = np.pi * turns[0][:, None], np.pi * np.abs(turns[1][: turns[1].size // 2 + 1])
-    # The mean slope over a texel of `grid`, along one axis, of a wave sampled on the new grid.
-    responses = [
-        2.0 * np.sin(half) * np.cos(half * side / new)
-        for half, side, new in zip(frequencies, grid, shape, strict=True)
+    if shape[1] > height.shape[1]:
+        return spline_enlarged(height, size)
+    mean = _area_mean(height, shape)
+    each = zip(np.gradient(height), height.shape, shape, np.gradient(mean), strict=True)
+    lacking = [
+        np.pad(_area_mean(slope * np.float32(side / new), shape) - shown, _BEYOND)
+        for slope, side, new, shown in each
     ]
-    waves = np.fft.rfft2(np.pad(left, ((0, 0), (_BEYOND, _BEYOND), (_BEYOND, _BEYOND))))
-    damping = _DAMPING * np.square(sum(np.square(np.sin(half)) for half in frequencies))
-    power = sum(np.square(response) for response in responses) + damping
-    shown = sum(response * wave for response, wave in zip(responses, waves, strict=True))
-    solved = np.fft.irfft2(-1j * shown / np.maximum(power, 1e-12))
-    change = solved[_BEYOND : _BEYOND + grid[0], _BEYOND : _BEYOND + grid[1]].astype(np.float32)
-    return np.asarray(resized + (spline_enlarged(change, size) if larger else change), np.float32)
+    beyond = lacking[0].shape
+    down = 2.0 * np.pi * np.fft.fftfreq(beyond[0])[:, None]
+    across = 2.0 * np.pi * np.fft.rfftfreq(beyond[1])
+    power = np.square(np.sin(down)) + np.square(np.sin(across)) + _damping(down, across, _DAMPING)
+    waves = [np.fft.rfft2(slope) for slope in lacking]
+    solved = (np.sin(down) * waves[0] + np.sin(across) * waves[1]) / np.maximum(power, 1e-12)
+    change = np.fft.irfft2(-1j * solved, s=beyond)[_BEYOND:-_BEYOND, _BEYOND:-_BEYOND]
+    return np.asarray(mean + change, np.float32)
+
+
+def _damping(
+    down: NDArray[np.floating], across: NDArray[np.floating], weight: float
+) -> NDArray[np.float64]:
+    """Weight of the heights of waves; nothing at long ones, `weight` at 2 texels along an axis."""
+    both = np.square(np.sin(0.5 * down)) + np.square(np.sin(0.5 * across))
+    return np.asarray(weight * np.square(both), np.float64)
 
 
 def _area_mean(plane: HeightPlane, shape: tuple[int, ...]) -> HeightPlane:
     """Means over areas, (H, W) = shape."""
     size = shape[1], shape[0]
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _mean_slopes(height: HeightPlane, shape: tuple[int, ...]) -> HeightPlane:
-    """(2, h, w) means of central differences, downwards and to the right, per texel of `shape`."""
-    each = zip(np.gradient(height), height.shape, shape, strict=True)
-    rises = (rise * np.float32(side / coarse) for rise, side, coarse in each)
-    return np.stack([_area_mean(rise, shape) for rise in rises])
 
 
 def spline_enlarged(plane: HeightPlane, size: tuple[int, int]) -> HeightPlane:

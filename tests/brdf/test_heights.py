@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from matcap.brdf.heights import resized_height
+from matcap.brdf.heights import resized_height, with_slopes_of_means
 
 INSIDE = slice(8, -8)  # of a border, where central differences are one-sided
 
@@ -43,11 +43,12 @@ def test_halved_heights_have_the_energy_of_the_mean_slopes(period, angle):
 
 @pytest.mark.parametrize("times", [2, 3])
 @pytest.mark.parametrize("period", [4.0, 6.0, 16.0])
-def test_enlarged_heights_have_the_slopes_of_given_ones(period, times):
-    coarse = waves(period, 0.4, 120)
-    fine = resized_height(coarse, (120 * times, 120 * times))
-    shown = times * means(slopes(fine), 120)
-    assert energy(shown - slopes(coarse)) < 0.02 * energy(slopes(coarse))
+def test_enlarged_heights_have_the_slopes_of_their_waves(period, times):
+    fine = slopes(resized_height(waves(period, 0.0, 120), (120 * times, 120 * times)))
+    at = (np.arange(120 * times) + 0.5) / times - 0.5
+    turn = 2.0 * np.pi / period
+    true = np.broadcast_to(-turn * np.sin(turn * at + 0.3) / times, fine[0].shape)
+    assert energy(fine - np.stack([0.0 * true, true])) < 0.03 * energy(true[None])
 
 
 @pytest.mark.parametrize("place", range(60, 64))
@@ -74,3 +75,16 @@ def test_white_noise_does_not_grow():
     small = resized_height(noise, (128, 128))
     mean = cv2.resize(noise, (128, 128), interpolation=cv2.INTER_AREA)
     assert small.std() < 1.6 * mean.std()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+@pytest.mark.parametrize("period", [4.0, 6.0, 12.0])
+def test_means_of_heights_get_the_slopes_of_their_surface(period, angle):
+    means_of = means([waves(4.0 * period, angle)], 120)[0]
+    wanted = means(4.0 * slopes(waves(4.0 * period, angle)), 120)
+    shown = slopes(with_slopes_of_means(means_of))
+    assert energy(shown) == pytest.approx(energy(wanted), rel=0.16)
+    assert energy(slopes(means_of)) < energy(shown)
+    y, x = np.mgrid[:120, :120].astype(np.float32)
+    ramp = with_slopes_of_means(0.3 * x - 0.2 * y)[INSIDE, INSIDE]
+    assert ramp == pytest.approx((0.3 * x - 0.2 * y)[INSIDE, INSIDE], abs=1e-3)

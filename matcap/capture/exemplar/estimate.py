@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
+from matcap.brdf.heights import with_slopes_of_means
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
@@ -301,9 +302,14 @@ def with_mean_cell(
 def scaled_to_spectrum(
     observed: Observation, prediction: NetworkPrediction, spectrum: ReliefSpectrum | None
 ) -> NetworkPrediction:
-    """Scale relief to the measured energies, equally at all places and directions (equalise)."""
+    """Scale relief to the measured energies, equally at all places and directions (equalise).
+
+    Its finest waves, which the network shrinks as they are uncertain, are raised by what central
+    differences lose of them; highlights and glints decide the level (refine.py).
+    """
     predicted, sensitivity = prediction.residuals, observed.inputs.slope_sensitivity.numpy()
-    height = torch.from_numpy(equalise(predicted.height[0].numpy(), spectrum, sensitivity))[None]
+    even = equalise(predicted.height[0].numpy(), spectrum, sensitivity)
+    height = torch.from_numpy(with_slopes_of_means(even))[None]
     return replace(prediction, residuals=replace(predicted, height=height))
 
 
