@@ -156,7 +156,13 @@ def estimate_exemplar(
     whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
     bound = not known.absolute
     observed, prediction, spectrum = refined(
-        plane, rectified.coarse, network, clock, bound=bound, waves=rectified.input_waves
+        plane,
+        rectified.coarse,
+        network,
+        clock,
+        bound=bound,
+        waves=rectified.input_waves,
+        finest=plane.size == whole.size,
     )
     coarse = observed.coarse
     with clock.stage("inpaint"):
@@ -191,11 +197,13 @@ def refined(
     *,
     bound: bool = False,
     waves: tuple[Wave, ...] = (),
+    finest: bool = False,
 ) -> tuple[Observation, NetworkPrediction, ReliefSpectrum | None]:
     """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
 
     With `bound`, albedo is kept below white (Observation.below_white); `waves` is the lattice of
-    one photograph.
+    one photograph. With `finest`, the maps are not enlarged: central differences on this grid, not
+    on a finer one, have to show their slopes (with_slopes_of_means).
 
     Returns:
         The photograph with the specular tint of its metal, the fitted maps, and the energies of
@@ -207,7 +215,7 @@ def refined(
         observed, prediction = predict_maps(bounded, network)
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
-        prediction = scaled_to_spectrum(observed, prediction, spectrum)
+        prediction = scaled_to_spectrum(observed, prediction, spectrum, finest=finest)
         prediction = with_mean_cell(observed, prediction, waves)
         observed, prediction = classified(observed, prediction)
     with clock.stage("refine"):
@@ -300,16 +308,19 @@ def with_mean_cell(
 
 
 def scaled_to_spectrum(
-    observed: Observation, prediction: NetworkPrediction, spectrum: ReliefSpectrum | None
+    observed: Observation,
+    prediction: NetworkPrediction,
+    spectrum: ReliefSpectrum | None,
+    *,
+    finest: bool,
 ) -> NetworkPrediction:
     """Scale relief to the measured energies, equally at all places and directions (equalise).
 
-    Its finest waves, which the network shrinks as they are uncertain, are raised by what central
-    differences lose of them; highlights and glints decide the level (refine.py).
+    Highlights and glints then decide its level (refine.py); `finest` as of refined.
     """
     predicted, sensitivity = prediction.residuals, observed.inputs.slope_sensitivity.numpy()
     even = equalise(predicted.height[0].numpy(), spectrum, sensitivity)
-    height = torch.from_numpy(with_slopes_of_means(even))[None]
+    height = torch.from_numpy(with_slopes_of_means(even) if finest else even)[None]
     return replace(prediction, residuals=replace(predicted, height=height))
 
 
