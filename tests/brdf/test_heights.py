@@ -78,13 +78,18 @@ def test_white_noise_does_not_grow():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5])
-@pytest.mark.parametrize("period", [4.0, 6.0, 12.0])
-def test_means_of_heights_get_the_slopes_of_their_surface(period, angle):
-    means_of = means([waves(4.0 * period, angle)], 120)[0]
-    wanted = means(4.0 * slopes(waves(4.0 * period, angle)), 120)
-    shown = slopes(with_slopes_of_means(means_of))
-    assert energy(shown) == pytest.approx(energy(wanted), rel=0.16)
-    assert energy(slopes(means_of)) < energy(shown)
-    y, x = np.mgrid[:120, :120].astype(np.float32)
-    ramp = with_slopes_of_means(0.3 * x - 0.2 * y)[INSIDE, INSIDE]
-    assert ramp == pytest.approx((0.3 * x - 0.2 * y)[INSIDE, INSIDE], abs=1e-3)
+@pytest.mark.parametrize(("period", "least"), [(4.0, 0.66), (6.0, 0.9), (12.0, 0.98)])
+def test_means_of_heights_get_slopes_nearer_to_those_of_their_surface(period, least, angle):
+    fine = waves(4.0 * period, angle)
+    (mean,) = means([fine], 120)
+    wanted = energy(means(4.0 * slopes(fine), 120))
+    raised = with_slopes_of_means(mean)
+    assert max(least, energy(slopes(mean)) / wanted) < energy(slopes(raised)) / wanted < 1.01
+
+
+def test_ramps_are_not_raised():
+    y, x = np.mgrid[:81, :120].astype(np.float32)
+    ramp = 0.3 * x - 0.2 * y
+    assert with_slopes_of_means(ramp)[INSIDE, INSIDE] == pytest.approx(
+        ramp[INSIDE, INSIDE], abs=1e-3
+    )

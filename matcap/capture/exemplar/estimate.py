@@ -19,7 +19,6 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.brdf.cook_torrance import ROUGHNESS_LIMITS
-from matcap.brdf.heights import with_slopes_of_means
 from matcap.brdf.maps import CHANNELS
 from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import inpainted
@@ -202,8 +201,7 @@ def refined(
     """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
 
     With `bound`, albedo is kept below white (Observation.below_white); `waves` is the lattice of
-    one photograph. With `finest`, the maps are not enlarged: central differences on this grid, not
-    on a finer one, have to show their slopes (with_slopes_of_means).
+    one photograph. With `finest`, the maps are not enlarged, which would restore fine slopes.
 
     Returns:
         The photograph with the specular tint of its metal, the fitted maps, and the energies of
@@ -215,11 +213,11 @@ def refined(
         observed, prediction = predict_maps(bounded, network)
     with clock.stage("relief spectrum"):
         spectrum = measured_spectrum(observed)
-        prediction = scaled_to_spectrum(observed, prediction, spectrum, finest=finest)
+        prediction = scaled_to_spectrum(observed, prediction, spectrum)
         prediction = with_mean_cell(observed, prediction, waves)
         observed, prediction = classified(observed, prediction)
     with clock.stage("refine"):
-        prediction = refine_maps(observed, prediction, spectrum)
+        prediction = refine_maps(observed, prediction, spectrum, finest=finest)
     return observed, prediction, spectrum
 
 
@@ -308,19 +306,11 @@ def with_mean_cell(
 
 
 def scaled_to_spectrum(
-    observed: Observation,
-    prediction: NetworkPrediction,
-    spectrum: ReliefSpectrum | None,
-    *,
-    finest: bool,
+    observed: Observation, prediction: NetworkPrediction, spectrum: ReliefSpectrum | None
 ) -> NetworkPrediction:
-    """Scale relief to the measured energies, equally at all places and directions (equalise).
-
-    Highlights and glints then decide its level (refine.py); `finest` as of refined.
-    """
+    """Scale relief to the measured energies, equally at all places and directions (equalise)."""
     predicted, sensitivity = prediction.residuals, observed.inputs.slope_sensitivity.numpy()
-    even = equalise(predicted.height[0].numpy(), spectrum, sensitivity)
-    height = torch.from_numpy(with_slopes_of_means(even) if finest else even)[None]
+    height = torch.from_numpy(equalise(predicted.height[0].numpy(), spectrum, sensitivity))[None]
     return replace(prediction, residuals=replace(predicted, height=height))
 
 
