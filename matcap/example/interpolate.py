@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from matcap.brdf.heights import resized_height
 from matcap.example.blend import ExemplarBands, Votes, bands_of, blended, seam_correlations
 from matcap.example.exemplar import CHANNELS, COLOURED, DIFFUSE, HEIGHT, SPECULAR, Exemplar, Floats
 from matcap.field.plane import Rectangle
@@ -358,16 +359,19 @@ def interpolated(first: Exemplar, second: Exemplar, share: float) -> Exemplar:
 def _resampled(exemplar: Exemplar, texel_size: float) -> Exemplar:
     """An exemplar resampled to another texel size."""
     scale = exemplar.texel_size / texel_size
-    size = tuple(max(1, round(side * scale)) for side in exemplar.size)
+    width, height = (max(1, round(side * scale)) for side in exemplar.size)
+    size = width, height
     if size == exemplar.size:
         return replace(exemplar, texel_size=texel_size)
     how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
     resized = {
         name: np.stack([cv2.resize(p, size, interpolation=how) for p in getattr(exemplar, name)])
         for name in (*CHANNELS, "confidence")
+        if name != "height"
     }
-    for name in resized.keys() - {"height"}:
-        resized[name].clip(0.0, 1.0, out=resized[name])  # weights are rounded
+    for plane in resized.values():
+        plane.clip(0.0, 1.0, out=plane)  # weights are rounded
+    resized["height"] = resized_height(exemplar.height[0], size)[None]
     return replace(exemplar, **resized, texel_size=texel_size)
 
 

@@ -130,8 +130,8 @@ def read_texels(file: IO[bytes], kind: np.dtype[Any], width: int, rows: slice) -
 #
 # Written by OpenImageIO in strips of rows, from the computed texels. Maps are half
 # floats, heights 32-bit floats. A mip level is the box average of the next larger one; normals are
-# averaged and normalised, and roughness does not take up the variance of the normals that is lost.
-# PNGs hold the values of the EXR files.
+# normalised, and roughness takes up the variance of slopes that is lost, as in relight/texture.py
+# [olano2010]: alpha^2 + E[s^2] - E[s]^2. PNGs hold the values of the EXR files.
 
 _TILE = 64
 # (rows, width, channels) of a map.
@@ -192,7 +192,9 @@ def write_map(path: Path, kind: str, texels: Assembly, wrap: str) -> None:
     def whole(rows: slice) -> _Rows:
         return texels.rows(rows)[kind]
 
-    read: Callable[[slice], _Rows] = whole
+    rough = kind == "roughness" and bool(wrap)
+    read: Callable[[slice], _Rows] = partial(_moments, texels) if rough else whole
+    store = np.dtype((np.float32 if rough else depth, (4 if rough else channels,)))
     levels = max(width, height).bit_length() if wrap else 1
     with ExitStack() as stack:
         output: Any = oiio.ImageOutput.create(str(path))
@@ -212,14 +214,32 @@ def write_map(path: Path, kind: str, texels: Assembly, wrap: str) -> None:
             _check(output, output.open(str(path), spec, "AppendMIPLevel" if level else "Create"))
             kept = stack.enter_context(TemporaryFile(dir=path.parent))
             for rows in strips(size[1]):
-                pixels = np.array(read(rows), depth, order="C")  # its strides are checked
+                values = pixels = np.array(read(rows), store.base, order="C")  # strides are checked
+                if rough:
+                    pixels = np.array(_roughness(values) if level else whole(rows), depth)
                 area = (0, size[0], rows.start, rows.stop, 0, 1)
                 _check(output, output.write_tiles(*area, pixels))
                 if wrap:
-                    kept.write(pixels.tobytes())
+                    kept.write(values.tobytes())
             kept.flush()
-            read = partial(read_texels, kept, np.dtype((depth, (channels,))), size[0])
+            read = partial(read_texels, kept, store, size[0])
         _check(output, output.close())
+
+
+def _moments(texels: Assembly, rows: slice) -> _Rows:
+    """(rows, width, 4) alpha^2, slopes along x and y, and their squares' sum."""
+    values = texels.rows(rows)
+    normal = values["normal"].astype(np.float32)
+    slopes = normal[..., :2] / np.maximum(normal[..., 2:], np.float32(1e-3))
+    squares = np.square(slopes).sum(axis=-1, keepdims=True)
+    alpha2 = values["roughness"].astype(np.float32) ** 4
+    return np.concatenate([alpha2, slopes, squares], axis=-1)
+
+
+def _roughness(moments: _Rows) -> _Rows:
+    """(rows, width, 1) roughness of a lobe that is as wide as those in a texel of _moments."""
+    lost = moments[..., 3:] - np.square(moments[..., 1:3]).sum(axis=-1, keepdims=True)
+    return np.asarray((moments[..., :1] + np.maximum(lost, 0.0)).clip(0.0, 1.0) ** 0.25)
 
 
 def _averaging(

@@ -13,7 +13,7 @@ from other_exr import write_other_exr
 
 from matcap.brdf.adjust import Adjustments, adjusted
 from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
-from matcap.brdf.maps import integrate, integrate_periodic
+from matcap.brdf.heights import integrate, integrate_periodic
 from matcap.errors import MatcapError
 from matcap.files.color import REC709
 from matcap.files.exr import read_exr, write_exr

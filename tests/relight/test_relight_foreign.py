@@ -379,6 +379,22 @@ def test_the_largest_map_sets_the_size(plain):
         read_foreign(folder)
 
 
+def test_a_smaller_height_map_is_no_facets(tmp_path):
+    """Of a height map a quarter of the size, waves of 8 texels; bilinear slopes are steps."""
+    y, x = np.mgrid[:128, :128] / 4.0 - 0.375
+    wave = 0.5 + 0.2 * np.sin(2.0 * np.pi * x / 8.0) * np.cos(2.0 * np.pi * y / 8.0)
+    png(tmp_path / "a_Color.png", np.full((128, 128, 3), 0.5, np.float32))
+    png(tmp_path / "a_Displacement.png", wave[:, :, None])
+    whole = read_foreign(tmp_path).texture.slopes
+    rows, columns = np.mgrid[:32, :32]
+    small = 0.5 + 0.2 * np.sin(2.0 * np.pi * columns / 8.0) * np.cos(2.0 * np.pi * rows / 8.0)
+    png(tmp_path / "a_Displacement.png", small[:, :, None])
+    found = read_foreign(tmp_path).texture.slopes
+    inside = slice(16, -16)
+    off = (found - whole)[:, inside, inside]
+    assert np.square(off).mean() < 4e-3 * np.square(whole[:, inside, inside]).mean()
+
+
 def test_impossible_albedo_is_clipped_and_noted(plain):
     folder, _, expected = plain
     (folder / "a_Color.png").unlink()

@@ -54,6 +54,31 @@ def test_other_programs_read_the_computed_texels(tmp_path, size, wrap):
     assert channels["G"].pixels.dtype == np.float16
 
 
+@pytest.mark.parametrize("size", [(64, 32), (65, 129)])
+def test_smaller_levels_are_rougher_by_the_slopes_that_they_average(tmp_path, size):
+    """As relight's own levels are: alpha^2 + E[s^2] - E[s]^2, whatever level they come from."""
+    slopes = 0.3 * np.random.default_rng(4).standard_normal((2, *size[::-1])).astype(np.float32)
+    upright = 1.0 / np.sqrt(1.0 + np.square(slopes).sum(axis=0))
+    planes = np.full((9, *size[::-1]), 0.3, np.float32)
+    planes[6:8], planes[8] = -slopes * upright, upright
+    texels = texels_of(planes, 1)
+    made = assembled(tmp_path, size, texels, parts_of(size))
+    write_map(tmp_path / "roughness.exr", "roughness", made, "periodic,periodic")
+    made.close()
+    source = oiio.ImageInput.open(str(tmp_path / "roughness.exr"))
+    levels = [source.read_image(0, level, 0, 1, "float")[..., 0] for level in range(6)]
+    source.close()
+    assert np.array_equal(levels[0], texels["roughness"][..., 0].astype(np.float32))
+    if size == (64, 32):
+        mean, squares = (
+            each.reshape(-1, 16, 2, 32, 2).mean(axis=(2, 4)) for each in (slopes, slopes**2)
+        )
+        expected = (0.3**4 + (squares - mean**2).sum(axis=0)) ** 0.25
+        assert levels[1] == pytest.approx(expected, rel=2e-3)
+    whole = (0.3**4 + slopes.var(axis=(1, 2)).sum()) ** 0.25
+    assert levels[5].mean() == pytest.approx(whole, rel=0.05)
+
+
 def test_an_interrupted_assembly_has_its_whole_parts_and_not_the_damaged_ones(tmp_path):
     size = (150, 100)
     texels, parts = texels_of(planes_of(size), 1), parts_of(size)

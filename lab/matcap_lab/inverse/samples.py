@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import SurfaceParameters
-from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, MapSet, integrate_periodic
+from matcap.brdf.heights import integrate_periodic
+from matcap.brdf.maps import DIFFUSE, HEIGHT, SPECULAR, MapSet
 from matcap.capture.exemplar.network.network import network_inputs
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors

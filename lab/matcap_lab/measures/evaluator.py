@@ -19,6 +19,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.heights import resized_height
 from matcap.brdf.maps import MapSet
 from matcap.capture.verdict.causes import FAR, NEAR
 from matcap.errors import MatcapError
@@ -409,9 +410,10 @@ def compared_numbers(estimate: MapSet, truths: Sequence[MapSet]) -> dict[str, fl
 
 
 def shrunk_to(maps: MapSet, texel_size: float) -> MapSet:
-    """Means over texels of a size, no finer than the maps'."""
+    """Means over texels of a size, no finer than the maps', and heights with their mean slopes."""
     width, height = maps.size
     share = min(1.0, maps.texel_size / texel_size)
     size = (round(height * share), round(width * share))
     stacked: Tensor = F.interpolate(maps.stacked()[None].float(), size, mode="area")[0]
+    stacked[-1] = torch.from_numpy(resized_height(maps.height[0].float().numpy(), size[::-1]))
     return MapSet.from_stacked(stacked, maps.texel_size * width / size[1])

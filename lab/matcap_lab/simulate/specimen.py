@@ -16,7 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from matcap.brdf.maps import HEIGHT, MapSet, integrate_periodic
+from matcap.brdf.heights import integrate_periodic, resized_height
+from matcap.brdf.maps import HEIGHT, MapSet
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.geometry import FlashSetup
 from matcap.relight.foreign.names import assigned
@@ -282,11 +283,13 @@ def bare_metals(manifest: Path) -> frozenset[str]:
 
 
 def _shrunk(tile: Floats, step: float) -> Floats:
-    """The tile area-averaged to texels of `step` of its own; unchanged if step <= 1."""
+    """The tile's means over texels of `step` of its own; unchanged if step <= 1."""
     if step <= 1.0:
         return tile
-    size = tuple(max(1, round(side / step)) for side in tile.shape[:0:-1])
-    return np.stack([cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in tile])
+    width, height = (max(1, round(side / step)) for side in tile.shape[:0:-1])
+    way = cv2.INTER_AREA
+    planes = [cv2.resize(plane, (width, height), interpolation=way) for plane in tile[:-1]]
+    return np.stack([*planes, resized_height(tile[-1], (width, height))])
 
 
 def _from_middle(count: int) -> NDArray[np.float64]:

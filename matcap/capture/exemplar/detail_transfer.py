@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS, ROUGHNESS_LIMITS, Reflectance
+from matcap.brdf.heights import spline_enlarged
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.network.network import SUBSAMPLING
@@ -30,8 +31,6 @@ from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST, Uniform
 from matcap.flash.rectify import Plane
 
-# Pole of the cubic B-spline's inverse, and its taps on either side: 0.268^12 is 1.4e-7.
-_POLE, _SPLINE_REACH = np.sqrt(3.0) - 2.0, 12
 _MOST_DETAIL = 1.0  # log radiance; residuals are clipped to +-this
 _HIDDEN = 0.1  # squared diffuse share at which half of the residual is assigned to albedo
 _ROUNDS = 2  # iterations of refining albedo
@@ -101,39 +100,6 @@ def _enlarged(exemplar: Exemplar, plane: Plane) -> MapSet:
         height=torch.from_numpy(spline_enlarged(exemplar.height[0], plane.size))[None],
         texel_size=plane.texel_size,
     )
-
-
-def spline_enlarged(plane: Floats, size: tuple[int, int]) -> Floats:
-    """Interpolate a plane (H, W) to (width, height) by cubic B-splines [unser1999].
-
-    Quadratics are reproduced inside, so that slopes of heights are kept; OpenCV's cubic kernel errs
-    in them by 0.77 to 1.33, periodically. Borders are mirrored.
-    """
-    taps = np.arange(-_SPLINE_REACH, _SPLINE_REACH + 1)
-    inverse = np.sqrt(3.0) * _POLE ** np.abs(taps)
-    filtered = cv2.sepFilter2D(plane, cv2.CV_32F, inverse, inverse, borderType=cv2.BORDER_REFLECT)
-    down = _spline_rows(np.asarray(filtered, np.float32), size[1])
-    return np.ascontiguousarray(_spline_rows(np.ascontiguousarray(down.T), size[0]).T)
-
-
-def _spline_rows(nodes: Floats, count: int) -> Floats:
-    """Values of cubic B-splines with coefficients `nodes` (N, W) at `count` rows."""
-    at = (np.arange(count) + 0.5) * (len(nodes) / count) - 0.5
-    first = np.floor(at).astype(np.int64)
-    t = (at - first).astype(np.float32)
-    weights = (
-        (1.0 - t) ** 3 / 6.0,
-        2.0 / 3.0 - t * t * (1.0 - t / 2.0),
-        2.0 / 3.0 - (1.0 - t) ** 2 * (1.0 + t) / 2.0,
-        t**3 / 6.0,
-    )
-    values = np.zeros((count, nodes.shape[1]), np.float32)
-    for step, weight in enumerate(weights, -1):
-        index = first + step
-        index = np.where(index < 0, -1 - index, index)
-        index = np.where(index >= len(nodes), 2 * len(nodes) - 1 - index, index)
-        values += weight[:, None] * nodes[index.clip(0, len(nodes) - 1)]
-    return values
 
 
 def _missing_detail(

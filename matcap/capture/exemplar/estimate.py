@@ -156,7 +156,13 @@ def estimate_exemplar(
     whole, plane, known = rectified.whole, rectified.network_input, known or KnownMeans()
     bound = not known.absolute
     observed, prediction, spectrum = refined(
-        plane, rectified.coarse, network, clock, bound=bound, waves=rectified.input_waves
+        plane,
+        rectified.coarse,
+        network,
+        clock,
+        bound=bound,
+        waves=rectified.input_waves,
+        finest=plane.size == whole.size,
     )
     coarse = observed.coarse
     with clock.stage("inpaint"):
@@ -192,11 +198,12 @@ def refined(
     *,
     bound: bool = False,
     waves: tuple[Wave, ...] = (),
+    finest: bool = False,
 ) -> tuple[Observation, NetworkPrediction, ReliefSpectrum | None]:
     """Predict the maps of a plane and fit them to it: stages network, relief spectrum and refine.
 
     With `bound`, albedo is kept below white (Observation.below_white); `waves` is the lattice of
-    one photograph.
+    one photograph. With `finest`, the maps are not enlarged, which would restore fine slopes.
 
     Returns:
         The photograph with the specular tint of its metal, the fitted maps, and the energies of
@@ -212,7 +219,7 @@ def refined(
         prediction = with_mean_cell(observed, prediction, waves)
         observed, prediction = classified(observed, prediction)
     with clock.stage("refine"):
-        prediction = refine_maps(observed, prediction, spectrum)
+        prediction = refine_maps(observed, prediction, spectrum, finest=finest)
     return observed, prediction, spectrum
 
 

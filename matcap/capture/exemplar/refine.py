@@ -4,7 +4,8 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
 
 1. flatten: the low frequencies of albedo, which a stationary sample does not have, are removed;
 2. narrowed: relief is scaled down until the highlight is no wider than photographed;
-3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints;
+3. scaled_by_glints: each octave of relief is scaled to the photographed contrast of glints, and
+   fine waves raised by what central differences lose (with_slopes_of_means);
 4. with_mean_parameters: after 2 and 3, each class's mean parameters are fitted to the highlight
    (mean_parameters.py);
 5. refine_albedo: residual log radiance, less white glints of coloured materials (glints.py), is
@@ -54,6 +55,7 @@ from matcap.brdf.cook_torrance import (
     ROUGHNESS_LIMITS,
     SurfaceParameters,
 )
+from matcap.brdf.heights import with_slopes_of_means
 from matcap.capture.exemplar.glints import without_glints
 from matcap.capture.exemplar.mean_parameters import (
     ROUGHNESS_DEVIATION,
@@ -122,17 +124,25 @@ _CELLS = 4  # across the picture, parts whose energies tell how much texture dif
 
 
 def refine_maps(
-    observed: Observation, prediction: NetworkPrediction, spectrum: ReliefSpectrum | None = None
+    observed: Observation,
+    prediction: NetworkPrediction,
+    spectrum: ReliefSpectrum | None = None,
+    *,
+    finest: bool = False,
 ) -> NetworkPrediction:
     """Fit mean parameters of the classes, then albedo of every texel, to the photograph.
 
     Args:
         spectrum: measured in the photograph, or None.
+        finest: central differences on this grid, not on a finer one, show the slopes of relief.
     """
     plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
     steep = scaled_by_glints(
         fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise, spectrum
     )
+    if finest:
+        height = torch.from_numpy(with_slopes_of_means(steep.height[0].numpy()))
+        steep = replace(steep, height=height[None])
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
     metal = fitted.classes.metal_share
     matte = plane if bool(metal.any()) else without_glints(plane, observed.coarse)

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from matcap.brdf.maps import integrate, poisson
+from matcap.brdf.heights import integrate, poisson
 from matcap.capture.exemplar.relief_spectrum import BANDS, smoothed, split, split_all
 from matcap.capture.multiview.texels import slopes_of
 from matcap.flash.least_squares import conjugate_gradients

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from matcap.brdf.edited import check_heights
-from matcap.brdf.maps import integrate_periodic
+from matcap.brdf.heights import integrate_periodic, resized_height
 from matcap.brdf.stated import NormalStyle
 from matcap.errors import MatcapError
 from matcap.files.pixels import Pixels, linear_colours, read_pixels
@@ -428,7 +428,8 @@ class ForeignMaps:
             return None, False
         pixels, file = self._pixels("height"), self.files["height"]
         self._note_colours(pixels, file)
-        height = self._fitted(pixels.channel(file.channels["height"])[None], pixels)
+        values = pixels.channel(file.channels["height"])[None]
+        height = self._fitted(values, pixels, heights=True)
         if self.about.height is not None:
             scale, midlevel = self.about.height
             height = (height - np.float32(midlevel)) * np.float32(scale)
@@ -471,8 +472,10 @@ class ForeignMaps:
                 self.notes.append(f"{pixels.path.name}: values outside of 0 to 1 are clipped")
         return clipped
 
-    def _fitted(self, values: Array, pixels: Pixels) -> Array:
+    def _fitted(self, values: Array, pixels: Pixels, *, heights: bool = False) -> Array:
         """(C, H, W) resampled to the set's (width, height): area mean down, bilinear up.
+
+        Heights keep their slopes: bilinear ones are facets.
 
         Raises:
             MatcapError: another aspect ratio.
@@ -487,9 +490,11 @@ class ForeignMaps:
                 "the largest map's",
                 "give maps of the same extent",
             )
+        planes = values.astype(np.float32)
+        if heights:
+            return np.stack([resized_height(plane, size) for plane in planes])
         way = cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR
-        resized = [cv2.resize(one, size, interpolation=way) for one in values.astype(np.float32)]
-        return np.stack(resized)
+        return np.stack([cv2.resize(plane, size, interpolation=way) for plane in planes])
 
 
 def metallic_of(base: Array, metallic: Array, dielectric: Array | float = DIELECTRIC) -> Array:

@@ -11,8 +11,9 @@ import torch
 import torch.nn.functional as F
 from photographed import photographed, whole_plane
 
+from matcap.brdf.heights import spline_enlarged
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.detail_transfer import spline_enlarged, transfer_detail
+from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.rectified import PlaneLight, network_input
