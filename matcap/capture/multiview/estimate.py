@@ -8,7 +8,7 @@ mosaic (mosaic.py) also needs predictions of the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -56,9 +56,8 @@ from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import SLOW, Resampled, ResampledView, without_ambient
 from matcap.capture.rectified import Observation, Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.register import Registration, register_in_any_order
+from matcap.capture.registration.register import Registration
 from matcap.capture.settings import CaptureClock, RunStatus
-from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
@@ -78,21 +77,23 @@ _COARSE_SHARE = 0.4  # of the time
 
 @torch.no_grad()
 def estimate_multiview(
-    photos: Sequence[Photo], network: Inverse, detail: int, clock: CaptureClock, *, union: bool
+    registration: Registration,
+    network: Inverse,
+    detail: int,
+    clock: CaptureClock,
+    *,
+    union: bool,
 ) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
     Also returns the first photograph, less ambient light, rectified by its registered camera.
 
     Args:
-        photos: two or more; the first one with flash defines the frame.
+        registration: two photographs or more; the first one defines the frame.
         network, detail, clock: the inverse network, texels along the long side, of the stages.
         union: estimate all that the photographs show (mosaic.py), not the first one's rectangle.
-
-    Raises:
-        MatcapError: no other photograph can be registered to the first.
     """
-    registration, coarse, plane = registered(photos, detail, clock)
+    registration, coarse, plane = fitted_first(registration, detail, clock)
     single, spectrum, metal = predict_alone(plane, coarse, network, clock)
     mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
@@ -148,23 +149,10 @@ def _unless_interrupted(
         return otherwise
 
 
-def registered(
-    photos: Sequence[Photo], detail: int, clock: CaptureClock
+def fitted_first(
+    registration: Registration, detail: int, clock: CaptureClock
 ) -> tuple[Registration, CoarseFit, Plane]:
-    """Register photographs by features; fit and rectify the first with its registered camera.
-
-    Raises:
-        MatcapError: no other photograph can be registered to the first.
-    """
-    with clock.stage("register"):
-        registration = register_in_any_order(photos)
-        if len(registration.views) < 2:
-            each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
-            name = registration.views[0].photo.name
-            raise MatcapError(
-                f"no other photograph can be registered to {name} ({each})",
-                remedy="photograph the same sample again, sharp, with an overlap of two thirds",
-            )
+    """Fit and rectify the first photograph with its registered camera; tone curves undone."""
     with clock.stage("coarse fit"):
         first, setup = without_ambient(registration.views)[0].photo, registration.setup
         with one_thread():

@@ -35,7 +35,6 @@ from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.report import warnings, write_outputs
 from matcap.capture.settings import MULTIVIEW_STAGES, CaptureSettings, OutputSettings
-from matcap.errors import MatcapError
 from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import find_highlight, light_of
@@ -268,10 +267,20 @@ def test_a_pair_keeps_the_highlight_of_glossy_tiles():
     assert 0.9 < after.width / before.width < 1.2
 
 
-def test_nothing_in_common_is_refused(held, foreign):
-    _, photos = held
-    with pytest.raises(MatcapError, match=r"leather_9.*photograph the same sample"):
-        capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=[foreign])
+def test_a_pair_of_which_one_is_left_is_the_capture_of_that_one(held, foreign):
+    """And so is one photograph that is given twice."""
+    first, settings = held[1][0], CaptureSettings(preset="instant", detail=192)
+    alone = capture_photo(first, settings).estimate.exemplar
+    for other, why in ((foreign, "leather_9 was left out: only"), (first, "counts once")):
+        result = capture_photo(first, settings, others=[other])
+        assert (result.estimate.exemplar.stacked() == alone.stacked()).all()
+        said = " ".join(warnings(result))
+        assert why in said and f"The maps are those of {first.name} alone" in said
+        report = result.several.document()
+        assert report["first_alone"] and [one["name"] for one in report["photographs"]] == [
+            first.name
+        ]
+        assert result.photographs == 1
 
 
 def test_a_hand_holds_the_phone_as_it_is_told():
