@@ -37,7 +37,7 @@ from matcap.capture.exemplar.predict import (
     exemplar_of,
     map_set_of,
 )
-from matcap.capture.exemplar.refine import fitted_to_highlight
+from matcap.capture.exemplar.refine import flattened, with_mean_parameters
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.basis import with_basis
@@ -242,10 +242,10 @@ def _whole(
 def _inpainted(observed: Observation, estimate: Estimate, views: Resampled) -> Exemplar:
     """The solved maps, inpainted under the highlight.
 
-    Of one material, relief and mean parameters are fitted to the first photograph's highlight, as
-    those of a single photograph are: robust weights take a mirrored light that is a little
-    displaced for an outlier. Of several materials nothing is copied: what one photograph's
-    highlight hides, others show.
+    Of one material, mean parameters are fitted to the first photograph's highlight, as those of a
+    single photograph are: robust weights take a mirrored light that is a little displaced for an
+    outlier. Relief, which all measure, is kept. Of several materials nothing is copied: what one
+    photograph's highlight hides, others show.
     """
     maps = estimate.maps
     tint = maps.specular / maps.specular.mean(0, keepdim=True).clamp_min(1e-4)
@@ -259,8 +259,8 @@ def _inpainted(observed: Observation, estimate: Estimate, views: Resampled) -> E
     prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
     if estimate.basis is not None:
         return exemplar_of(observed, prediction)
-    exemplar = exemplar_of(observed, fitted_to_highlight(observed, prediction))
-    return inpainted(exemplar, observed)[0]
+    fitted = with_mean_parameters(observed, flattened(observed, prediction))
+    return inpainted(exemplar_of(observed, fitted), observed)[0]
 
 
 def _indexed(
