@@ -15,7 +15,7 @@ import torch
 from matcap.capture.bracket import MERGED
 from matcap.capture.exemplar.estimate import measured_spectrum
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
-from matcap.capture.multiview.mosaic import mosaic_of, sees
+from matcap.capture.multiview.mosaic import mosaic_of
 from matcap.capture.rectified import Observation, fit_photograph, tilt_document
 from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.keypoints import LONG_SIDE
@@ -207,6 +207,7 @@ def _belonging(registration: Registration) -> Finding:
         helps = f"its ambient light separates albedo from relief{also}"
         says.append(f"{last.photo.name} was taken without flash: {helps}.")
     says += [f"{one.name} does not belong: {one.why.rstrip('.')}." for one in out]
+    says += [registration.frame] if registration.frame else []
     value = {"used": len(views), "left_out": [one.name for one in out]}
     if not out and not alone:
         return Finding("belong", value, Rating.GOOD, " ".join(says))
@@ -278,7 +279,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     """Finding on the share of the sample that two photographs or more show."""
     up = [view.photo.pixels.shape[0] / view.photo.pixels.shape[1] for view in views]
     points = grid_points(_GRID, round(_GRID * up[0]))
-    each = (sees(view.camera, points, high, 90.0) for view, high in zip(views, up, strict=True))
+    each = (view.camera.shows(points, high, 90.0) for view, high in zip(views, up, strict=True))
     seen = np.stack(list(each)).sum(0)
     alone = float((seen < 2).mean())
     check = CHECKS["overlap"]

@@ -13,10 +13,11 @@ from functools import partial
 from pathlib import Path
 
 from matcap.capture.bracket import find_brackets, fine_bracket, merge_bracket
-from matcap.capture.exemplar.estimate import KnownMeans, estimate_exemplar
+from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.rectified import Method, Rectified, fit_photograph
 from matcap.capture.registration.keypoints import LONG_SIDE
+from matcap.capture.registration.register import register_in_any_order
 from matcap.capture.report import write_outputs
 from matcap.capture.result import CaptureResult, judge_material, provenance
 from matcap.capture.settings import (
@@ -184,7 +185,8 @@ def capture_photo(
         settings: of the capture.
         progress: callback.
         method: variant of the method; the default one if None.
-        others: more photographs of the same sample; the result shows the first, `photo`.
+        others: more photographs of the same sample; the result shows the first, `photo`, or a
+            better one (register_in_any_order), and is that one's if no other can be registered.
         clock: of a capture that has begun, whose callback takes the place of `progress`; or None.
 
     Raises:
@@ -201,19 +203,7 @@ def capture_photo(
         result = capture_by_decoder(rectified, settings, method, clock)
         latent = _latent(rectified, settings)
         return replace(result, material=replace(result.material, latent=latent))
-    if others:
-        from matcap.capture.multiview.estimate import estimate_multiview
-
-        # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
-        detail = settings.detail or min(effort.detail, DETAIL)
-        rectified, estimate = estimate_multiview(
-            [photo, *others], load_inverse(), detail, clock, union=settings.union
-        )
-    else:
-        rectified = _rectified(photo, settings, method, clock)
-        absolute = photo.flash_intensity is not None
-        known = KnownMeans(settings.albedo, settings.roughness, absolute=absolute)
-        estimate = estimate_exemplar(rectified, load_inverse(), clock, known, turned=photo.turned)
+    rectified, estimate = _estimated([photo, *others], settings, method, clock)
     several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
         name=photo.stem,
@@ -229,6 +219,38 @@ def capture_photo(
     from matcap.capture.by_decoder import with_decoder
 
     return with_decoder(result, rectified, effort, clock)
+
+
+def _estimated(
+    photos: Sequence[Photo], settings: CaptureSettings, method: Method, clock: CaptureClock
+) -> tuple[Rectified, ExemplarEstimate]:
+    """The exemplar of one photograph or several, and the photograph in whose frame it is.
+
+    Of several of which only one is left, the estimate is that one's, with a report on the others.
+    """
+    (photo, *others), registration = photos, None
+    if others:
+        with clock.stage("register"):
+            registration = register_in_any_order(photos)
+        if len(registration.views) > 1:
+            from matcap.capture.multiview.estimate import estimate_multiview
+
+            # The multi-view solve is limited to DETAIL; preset and time limit may ask for less.
+            detail = settings.detail or min(resolve(settings).detail, DETAIL)
+            return estimate_multiview(
+                registration, load_inverse(), detail, clock, union=settings.union
+            )
+        photo = registration.views[0].photo
+    rectified = _rectified(photo, settings, method, clock)
+    absolute = photo.flash_intensity is not None
+    known = KnownMeans(settings.albedo, settings.roughness, absolute=absolute)
+    estimate = estimate_exemplar(rectified, load_inverse(), clock, known, turned=photo.turned)
+    if registration is not None:
+        from matcap.capture.multiview.set_report import SetReport
+
+        of_one = rectified.coarse.setup, rectified.whole.size, estimate.error
+        estimate = replace(estimate, several=SetReport.alone(registration, *of_one))
+    return rectified, estimate
 
 
 def _latent(rectified: Rectified, settings: CaptureSettings) -> Latent:

@@ -333,7 +333,7 @@ def set_warnings(result: CaptureResult) -> Iterable[str]:
     if several.mosaic.margins.any:
         if limited := several.mosaic.warning():
             yield limited
-    elif result.settings.union:
+    elif result.settings.union and len(several.views) > 1:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
             "no larger. Move the phone farther from one to the next, by up to half a picture."

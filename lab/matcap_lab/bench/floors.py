@@ -17,7 +17,7 @@ import torch
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.predict import map_set_of
-from matcap.capture.multiview.mosaic import STEEPEST, sees
+from matcap.capture.multiview.mosaic import STEEPEST
 from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
@@ -313,7 +313,7 @@ def beyond(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Value]:
     names = [path.name for path in taken.paths]
     for view in (view for view in views[1:] if view.flash):
         up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
-        here = left & torch.from_numpy(sees(view.camera, points, up, STEEPEST))
+        here = left & torch.from_numpy(view.camera.shows(points, up, STEEPEST))
         number = names.index(view.photo.name)
         true = taken.true_maps(number, view.camera, exemplar.size, mosaic.extent)
         planes[:, here] = torch.cat([true.stacked(), true.normal]).float()[:, here]

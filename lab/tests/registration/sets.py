@@ -15,9 +15,9 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.network.network import load_inverse
 from matcap.capture.multiview.align import Aligned, aligned
-from matcap.capture.multiview.estimate import predict_alone, registered
+from matcap.capture.multiview.estimate import fitted_first, predict_alone
 from matcap.capture.registration.camera import Doubles, PosedCamera
-from matcap.capture.registration.register import Registration, register
+from matcap.capture.registration.register import Registration, register, register_in_any_order
 from matcap.capture.settings import MULTIVIEW_STAGES, CaptureClock
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import fit_coarse
@@ -115,7 +115,8 @@ def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
         if detail is None:
             return compared(made, register(made.photos, fit_coarse(made.photos[0]).setup))
         network, clock = load_inverse(), CaptureClock(None, MULTIVIEW_STAGES)
-        found, coarse, plane = registered(made.photos, detail, clock)
+        of_all = register_in_any_order(made.photos)
+        found, coarse, plane = fitted_first(of_all, detail, clock)
         read, _, _ = predict_alone(plane, coarse, network, clock)
         placed = aligned(Aligned.of(found.views, coarse.setup), read)
         return compared(made, replace(found, views=placed.views))

@@ -8,7 +8,7 @@ mosaic (mosaic.py) also needs predictions of the others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -37,7 +37,7 @@ from matcap.capture.exemplar.predict import (
     exemplar_of,
     map_set_of,
 )
-from matcap.capture.exemplar.refine import fitted_to_highlight
+from matcap.capture.exemplar.refine import flattened, with_mean_parameters
 from matcap.capture.exemplar.relief_spectrum import ReliefSpectrum
 from matcap.capture.multiview.align import Aligned, aligned, reframed
 from matcap.capture.multiview.basis import with_basis
@@ -56,9 +56,8 @@ from matcap.capture.multiview.texels import Estimate
 from matcap.capture.multiview.views import SLOW, Resampled, ResampledView, without_ambient
 from matcap.capture.rectified import Observation, Rectified, network_input
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.register import Registration, register_in_any_order
+from matcap.capture.registration.register import Registration
 from matcap.capture.settings import CaptureClock, RunStatus
-from matcap.errors import MatcapError
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.field.source import one_thread
@@ -78,21 +77,23 @@ _COARSE_SHARE = 0.4  # of the time
 
 @torch.no_grad()
 def estimate_multiview(
-    photos: Sequence[Photo], network: Inverse, detail: int, clock: CaptureClock, *, union: bool
+    registration: Registration,
+    network: Inverse,
+    detail: int,
+    clock: CaptureClock,
+    *,
+    union: bool,
 ) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
     Also returns the first photograph, less ambient light, rectified by its registered camera.
 
     Args:
-        photos: two or more; the first one with flash defines the frame.
+        registration: two photographs or more; the first one defines the frame.
         network, detail, clock: the inverse network, texels along the long side, of the stages.
         union: estimate all that the photographs show (mosaic.py), not the first one's rectangle.
-
-    Raises:
-        MatcapError: no other photograph can be registered to the first.
     """
-    registration, coarse, plane = registered(photos, detail, clock)
+    registration, coarse, plane = fitted_first(registration, detail, clock)
     single, spectrum, metal = predict_alone(plane, coarse, network, clock)
     mosaic = mosaic_of(registration.views, plane.size) if union else Mosaic.own(plane.size)
     by_features = Aligned.of(registration.views, coarse.setup, mosaic.extent)
@@ -148,23 +149,10 @@ def _unless_interrupted(
         return otherwise
 
 
-def registered(
-    photos: Sequence[Photo], detail: int, clock: CaptureClock
+def fitted_first(
+    registration: Registration, detail: int, clock: CaptureClock
 ) -> tuple[Registration, CoarseFit, Plane]:
-    """Register photographs by features; fit and rectify the first with its registered camera.
-
-    Raises:
-        MatcapError: no other photograph can be registered to the first.
-    """
-    with clock.stage("register"):
-        registration = register_in_any_order(photos)
-        if len(registration.views) < 2:
-            each = "; ".join(f"{one.name}: {one.why}" for one in registration.left_out)
-            name = registration.views[0].photo.name
-            raise MatcapError(
-                f"no other photograph can be registered to {name} ({each})",
-                remedy="photograph the same sample again, sharp, with an overlap of two thirds",
-            )
+    """Fit and rectify the first photograph with its registered camera; tone curves undone."""
     with clock.stage("coarse fit"):
         first, setup = without_ambient(registration.views)[0].photo, registration.setup
         with one_thread():
@@ -254,10 +242,10 @@ def _whole(
 def _inpainted(observed: Observation, estimate: Estimate, views: Resampled) -> Exemplar:
     """The solved maps, inpainted under the highlight.
 
-    Of one material, relief and mean parameters are fitted to the first photograph's highlight, as
-    those of a single photograph are: robust weights take a mirrored light that is a little
-    displaced for an outlier. Of several materials nothing is copied: what one photograph's
-    highlight hides, others show.
+    Of one material, mean parameters are fitted to the first photograph's highlight, as those of a
+    single photograph are: robust weights take a mirrored light that is a little displaced for an
+    outlier. Relief, which all measure, is kept. Of several materials nothing is copied: what one
+    photograph's highlight hides, others show.
     """
     maps = estimate.maps
     tint = maps.specular / maps.specular.mean(0, keepdim=True).clamp_min(1e-4)
@@ -271,8 +259,8 @@ def _inpainted(observed: Observation, estimate: Estimate, views: Resampled) -> E
     prediction = NetworkPrediction(light.residuals(maps), errors, confidence, None, classes)
     if estimate.basis is not None:
         return exemplar_of(observed, prediction)
-    exemplar = exemplar_of(observed, fitted_to_highlight(observed, prediction))
-    return inpainted(exemplar, observed)[0]
+    fitted = with_mean_parameters(observed, flattened(observed, prediction))
+    return inpainted(exemplar_of(observed, fitted), observed)[0]
 
 
 def _indexed(

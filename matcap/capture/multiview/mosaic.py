@@ -30,7 +30,7 @@ from matcap.capture.multiview.surface import integrated
 from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of, slopes_of
 from matcap.capture.multiview.views import SharedLight
 from matcap.capture.rectified import UNION_TIMES
-from matcap.capture.registration.camera import Doubles, Lens, PosedCamera, grid_points, to_pixels
+from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import Extent, FlashSetup, Margins
@@ -181,24 +181,8 @@ def _any_sees(views: Sequence[RegisteredView], points: Doubles) -> Marks:
     for view in views:
         if view.flash:
             up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
-            seen |= sees(view.camera, points, up, STEEPEST)
+            seen |= view.camera.shows(points, up, STEEPEST)
     return seen
-
-
-def sees(camera: PosedCamera, points: Doubles, up: float, steepest: float) -> Marks:
-    """(h, w) whether plane points (3, h, w) project into a picture, at less than an angle.
-
-    Args:
-        points: with z = 0, plane units.
-        up: height of the picture over its width.
-        steepest: largest angle of a ray to the plane's normal, degrees.
-    """
-    to_camera = camera.place.reshape(3, 1, 1) - points
-    upright = to_camera[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(to_camera).sum(0))
-    u, v = camera.sees(points)
-    # Far outside of the picture, the lens's polynomial can map points back into it.
-    near = np.abs(replace(camera, lens=Lens(camera.lens.focal)).sees(points)).max(0) < 1.5
-    return np.asarray(upright & near & (np.abs(u) < 1.0) & (np.abs(v) < up))
 
 
 def extrapolated(maps: MapSet, known: Tensor, slow: float) -> MapSet:

@@ -25,8 +25,11 @@ from matcap.capture.multiview.texels import (
     parameters_of,
 )
 from matcap.capture.multiview.views import ResampledView, SharedLight
-from matcap.capture.registration.register import LeftOut, RegisteredView, Registration
+from matcap.capture.registration.camera import PosedCamera
+from matcap.capture.registration.keypoints import SHADOW
+from matcap.capture.registration.register import SHADED, LeftOut, RegisteredView, Registration
 from matcap.files.color import srgb_picture
+from matcap.flash.geometry import FlashSetup
 from matcap.flash.rectify import picture_of
 from matcap.photo.checks import CHECKS
 from matcap.photo.photo import standing
@@ -45,9 +48,6 @@ _SAMPLED = 1500
 # Share of the error by the first photograph alone above which the set's maps are not kept: those of
 # glazed tiles, at 0.8 and 0.94, were 1.6 and 1.3 times as far from the truth as the first one's.
 _CLEARLY = 0.75
-# Log radiance below what all photographs show from which a texel is in shadow, and the share of a
-# photograph's from which that is said: relief, and highlights that are too strong, have a few.
-_SHADOW, _SHADED = math.log(2.0), 0.1
 
 
 class Prediction(NamedTuple):
@@ -140,7 +140,7 @@ def unshaded(
 ) -> tuple[ResampledView, float]:
     """A photograph without the texels that a shadow darkens, and the share of these."""
     off = (view.log - as_photographed(view, parameters_of(by_all.maps), light)).mean(0)
-    seen, dark = view.seen.all(0), off < -_SHADOW
+    seen, dark = view.seen.all(0), off < -SHADOW
     share = float((seen & dark).sum() / seen.sum().clamp_min(1))
     return replace(view, seen=view.seen & ~dark), share
 
@@ -183,6 +183,18 @@ class SetReport:
     """Photographs predicted from the others; empty if not computed."""
     shaded: tuple[float, ...] = ()
     """Share of each photograph's texels in shadow (LeaveOneOut.shaded)."""
+    frame: str | None = None
+    """Registration.frame."""
+
+    @staticmethod
+    def alone(
+        registration: Registration, setup: FlashSetup, size: tuple[int, int], residual: float
+    ) -> SetReport:
+        """Of a set of which only one photograph, of a `setup`, is left; `size` is that of maps."""
+        only, left_out = registration.views[0], registration.left_out
+        views, nothing = (replace(only, camera=PosedCamera.of(setup)),), (0.0,) * len(CHANNELS)
+        known = (residual,), (), left_out, nothing, setup.offset, Mosaic.own(size)
+        return SetReport(views, *known, frame=registration.frame)
 
     @staticmethod
     def of(
@@ -207,6 +219,7 @@ class SetReport:
             kept_first,
             checked.pictures,
             checked.shaded,
+            registration.frame,
         )
 
     def by_view(self) -> Iterator[tuple[RegisteredView, float, float]]:
@@ -215,18 +228,25 @@ class SetReport:
         return zip(self.views, self.residuals, predicted, strict=True)
 
     def warning(self) -> str | None:
-        """What is to be said of shadows, of a set that did not help or of uncertain cameras."""
-        return " ".join([*self._shadows(), *self._doubts()]) or None
+        """What is to be said of the frame, shadows, a set that did not help, uncertain cameras."""
+        frame = [self.frame] if self.frame else []
+        return " ".join([*frame, *self._shadows(), *self._doubts()]) or None
 
     def _shadows(self) -> Iterator[str]:
         for view, share in zip(self.views, self.shaded, strict=False):
-            if share > _SHADED:
+            if share > SHADED:
                 yield (
                     f"{100.0 * share:.0f} % of {view.photo.name} is far darker than the others "
                     "show, as in a shadow: that part of it tells nothing."
                 )
 
     def _doubts(self) -> Iterator[str]:
+        if len(self.views) < 2:
+            yield (
+                f"The maps are those of {self.views[0].photo.name} alone. Photograph the same "
+                "sample again, sharp, with an overlap of two thirds."
+            )
+            return
         if self.kept_first is not None:
             each_other, first = self.kept_first
             yield (
@@ -269,7 +289,7 @@ class SetReport:
             "lens_distortion": list(self.views[0].camera.lens.distortion),
             **({"mosaic": self.mosaic.document()} if self.mosaic.margins.any else {}),
             **({} if self.basis is None else {"materials": self.basis.document()}),
-            "first_alone": self.kept_first is not None,
+            "first_alone": self.kept_first is not None or len(self.views) < 2,
         }
 
 

@@ -115,6 +115,7 @@ def integrated(slopes: Tensor, texel_size: float, rounds: int = 4) -> Tensor:
 _OCTAVES = ((256.0, 128.0), (128.0, 64.0), *BANDS)
 _AROUND = 2.0  # wavelengths over which noise is averaged
 _LEAST_VARIANCE = 1e-12  # lower limit of variances
+_FINE = 4.0  # wavelength in texels up to which noise may be more than the jackknife says
 _SCALED = 0.6, 1.5  # limits of the factor of an octave that is brought to its expected energy
 
 
@@ -129,15 +130,23 @@ class _Octave(NamedTuple):
     """Mean of the measured energy g^2 E[m^2] + T and the predicted, by their uncertainties."""
 
 
-def denoised(measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats) -> Floats:
+def denoised(
+    measured: Floats,
+    predicted: Floats,
+    changes: Sequence[Floats] | Floats,
+    *,
+    understated: float = 1.0,
+) -> Floats:
     """(H, W) denoised map, each octave with its expected energy.
 
     Args:
         measured: (H, W) estimate from all photographs.
         predicted: (H, W) the network's prediction.
         changes: (H, W) each, change of `measured` when one photograph is left out.
+        understated: variance of noise below 4 texels over what these changes say.
     """
-    bands = [octave.posterior for octave in _octaves(measured, predicted, changes)]
+    octaves = _octaves(measured, predicted, changes, understated)
+    bands = [octave.posterior for octave in octaves]
     return np.asarray(np.sum(bands, axis=0), np.float32)
 
 
@@ -174,7 +183,10 @@ def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) 
 
 
 def _octaves(
-    measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats
+    measured: Floats,
+    predicted: Floats,
+    changes: Sequence[Floats] | Floats,
+    understated: float = 1.0,
 ) -> Iterator[_Octave]:
     """Octave bands of both maps and the low-pass remainder, with estimates of g and T."""
     # (n - 1) / n of the jackknife, but not 0 for one photograph
@@ -185,6 +197,7 @@ def _octaves(
         noise = np.full_like(measured, _LEAST_VARIANCE)
         for change in changed:
             noise += jackknife * np.square(change)
+        noise *= np.float32(understated if wave <= _FINE else 1.0)
         noise = smoothed(noise, _AROUND * wave)
         weight = 1.0 / noise
         # g has the prior 1 +- 1, and is never negative.

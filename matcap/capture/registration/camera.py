@@ -81,6 +81,21 @@ class PosedCamera:
         depth = np.where(z < 0.0, -z, np.nan).astype(points.dtype)
         return self.lens.distorted(self.lens.focal * np.stack([x, y]) / depth)
 
+    def shows(self, points: Doubles, up: float, steepest: float) -> NDArray[np.bool_]:
+        """(h, w) whether plane points (3, h, w) project into a picture, at less than an angle.
+
+        Args:
+            points: with z = 0, plane units.
+            up: height of the picture over its width.
+            steepest: largest angle of a ray to the plane's normal, degrees.
+        """
+        away = self.place.reshape(3, 1, 1) - points
+        upright = away[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(away).sum(0))
+        u, v = self.sees(points)
+        # Far outside of the picture, the lens's polynomial can map points back into it.
+        near = np.abs(replace(self, lens=Lens(self.lens.focal)).sees(points)).max(0) < 1.5
+        return np.asarray(upright & near & (np.abs(u) < 1.0) & (np.abs(v) < up))
+
     def on_plane(self, image: Doubles) -> Doubles:
         """(3, ...) plane points at image coordinates (2, ...); the inverse of sees()."""
         u, v = self.lens.undistorted(image)

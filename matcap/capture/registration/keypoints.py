@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -18,6 +20,7 @@ from matcap.capture.registration.camera import (
     transformed,
 )
 from matcap.files.color import srgb_encode
+from matcap.flash.light import CORNER_SQUARED
 from matcap.photo.inspect import blurred
 from matcap.photo.left_out import area_averaged
 from matcap.photo.photo import Photo
@@ -30,6 +33,7 @@ from matcap.photo.photo import Photo
 # and a homography selects the consistent ones.
 
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
+Features = Callable[[ContrastNormalisation], "Keypoints"]  # of a photograph
 
 # Settings of detection and matching.
 LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
@@ -68,14 +72,12 @@ class Keypoints:
     """(n,) complex: the modulus is the size in image coordinates, the argument the orientation."""
 
 
-def match_photographs(
-    keypoints_of_first: Callable[[ContrastNormalisation], Keypoints], second: Photo
-) -> tuple[Doubles, Doubles, float]:
+def match_photographs(first: Features, second: Features) -> tuple[Doubles, Doubles, float]:
     """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
     candidates = []
     for normalise in (normalise_contrast, equalise_histogram):
-        other = find_keypoints(second, normalise)
-        candidates.append((*matched(keypoints_of_first(normalise), other), other.pixel))
+        other = second(normalise)
+        candidates.append((*matched(first(normalise), other), other.pixel))
         if candidates[-1][0].shape[1] >= _ENOUGH:
             break
     return max(candidates, key=lambda candidate: candidate[0].shape[1])
@@ -229,7 +231,7 @@ def is_periodic(photo: Photo) -> bool:
     return float(maxima.max(initial=-1.0)) > _PERIODIC * float(correlation[0, most])
 
 
-# Comparison of registered photographs on the plane: correlation of texture, and sharpness.
+# Comparison of registered photographs on the plane: correlation of texture, sharpness, shadows.
 #
 # Sharpness is the ratio of the amplitudes of the finest band and of a band of four times the
 # wavelength: defocus and motion lower it, light hardly affects it.
@@ -244,6 +246,10 @@ _TILES = 12  # tiles across
 _NEAR = 0.01  # plane units, distance over which the scale of a photograph is measured
 _FINE = (0.7, 1.4)  # standard deviations of the two Gaussians of the finest band, texels
 _LONG = (2.8, 5.6)  # standard deviations of the two Gaussians of the longer band, texels
+_CELLS = 48  # cells across the grid of shadows
+SHADOW = math.log(2.0)  # log radiance below what others show from which a place is in shadow
+_MIRRORS = 0.25  # of the distance, around a camera's foot, where its highlight may be
+_FALLOFF = (0.3, 0.5)  # of lens and flash, the coarse fit's prior mean, as of log_vignette
 
 
 def texture_correlations(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[float]:
@@ -315,6 +321,36 @@ def _sharpness(photo: Photo, camera: PosedCamera, first: Photo) -> NDArray[np.fl
     fine, long, seen = (area_averaged(each, tiles).ravel() for each in planes)
     ratio = 0.5 * np.log((fine + 1e-9) / (long + 1e-9))
     return np.where(seen > 0.99, ratio, np.nan).astype(np.float64)
+
+
+def shares_in_shadow(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[float]:
+    """Share of each flash photograph that is far darker than another shows the same place.
+
+    Log radiance less that of a matte, even surface is compared with the median of the others',
+    where these cannot mirror their flash.
+    """
+    rows, columns = seen[0][0].pixels.shape[:2]
+    size = (_CELLS, round(_CELLS * rows / columns))
+    points, logs, mirroring = grid_points(*size), [], []
+    for photo, camera in seen:
+        log, inside = log_on_grid(photo, camera, size, _CELLS, 1e-4, cv2.INTER_LINEAR)
+        away = camera.place[:, None, None] - points
+        squared = np.square(camera.sees(points)).sum(0) / CORNER_SQUARED
+        matte = np.log(away[2]) - 1.5 * np.log(np.square(away).sum(0))
+        matte -= _FALLOFF[0] * squared + _FALLOFF[1] * np.square(squared)
+        logs.append(np.where(inside, log - matte, np.nan))
+        mirroring.append(np.hypot(*away[:2]) < _MIRRORS * camera.place[2])
+    shares = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # places that no other photograph shows
+        for number, own in enumerate(logs):
+            others = [k for k in range(len(logs)) if k != number]
+            darker = own - np.nanmedian([logs[other] for other in others], axis=0)
+            mirrored = np.all([mirroring[other] for other in others], axis=0)
+            known = np.isfinite(darker) & ~mirrored
+            dark = darker[known] < np.nanmedian(darker) - SHADOW
+            shares.append(float(dark.mean()) if dark.size else 0.0)
+    return shares
 
 
 def _band(plane: ChannelPlane, fine: float, coarse: float) -> ChannelPlane:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import combinations
 
 import numpy as np
 
@@ -18,10 +19,12 @@ from matcap.capture.registration.camera import (
     camera_deviations,
 )
 from matcap.capture.registration.keypoints import (
+    Features,
     find_keypoints,
     is_periodic,
     losses_of_sharpness,
     match_photographs,
+    shares_in_shadow,
     texture_correlations,
 )
 from matcap.errors import MatcapError
@@ -46,6 +49,10 @@ _STRAIGHT = (0.003, 0.001)
 # flash photographs, smaller ones accept more ambient ones.
 _FAINT = 1.15
 _SHOWN = 1.3  # least ratio that proves a flash; without such a photograph none counts as ambient
+# The first photograph defines the frame unless this share of it is in shadow, or what the others
+# show of it is less than this share of what they show of another.
+SHADED, _LEAST_OVERLAP = 0.1, 0.75
+_CELLS = 32  # across the grid on which overlaps are determined
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,8 @@ class LeftOut:
     """Name of its file."""
     why: str
     """Reason, as the end of a sentence."""
+    few: bool = False
+    """Whether the reason is that few of its features match."""
 
 
 @dataclass(frozen=True)
@@ -90,31 +99,106 @@ class Registration:
     """Photographs that could not be registered."""
     blurred: bool = False
     """Whether the first one is blurred compared with the others."""
+    frame: str | None = None
+    """Sentence on why another than the first given defines the frame, or had better; or None."""
 
 
 def register_in_any_order(photos: Sequence[Photo]) -> Registration:
-    """Register photographs; the first with flash defines the frame, or the next if that is blurred.
+    """Register photographs; the first with flash defines the frame if it can, else the best.
 
-    The initial tilt of the first camera is 0; the result hardly depends on it
-    (docs/notes/several.md).
+    That is the one that most others match or, of those registered, a sharp one without shadow that
+    the others overlap most. Copies of a picture count once. The initial tilt of the first camera is
+    0; the result hardly depends on it (docs/notes/several.md).
 
     Args:
         photos: two or more, in any order.
     """
-    photos = flash_first(photos)
-    registration = register(photos, FlashSetup(fov=photos[0].fov))
-    if registration.blurred and len(registration.views) > 2:
-        photos = flash_first([*photos[1:], photos[0]])
-        registration = register(photos, FlashSetup(fov=photos[0].fov))
-    return registration
+    photos, copies = _distinct(flash_first(photos))
+    features = {id(photo): cache(partial(find_keypoints, photo)) for photo in photos}
+    given, found = photos[0].name, register(photos, FlashSetup(fov=photos[0].fov), features)
+    for better_of in (partial(_most_matched, features=features), _best_shown):
+        better, why = better_of(photos, found)
+        if better:
+            photos = [photos[better], *photos[:better], *photos[better + 1 :]]
+            found = register(photos, FlashSetup(fov=photos[0].fov), features)
+            why = f"The maps are those of what {photos[0].name} shows, not {given}: {why}."
+        if why:
+            found = replace(found, frame=why)
+    return replace(found, left_out=(*found.left_out, *copies))
 
 
-def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
+def _distinct(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
+    """Photographs without copies of an earlier one's pixels, and these."""
+    kept, copies = list[Photo](), list[LeftOut]()
+    for photo in photos:
+        twin = next((one for one in kept if np.array_equal(one.pixels, photo.pixels)), None)
+        if twin is None:
+            kept.append(photo)
+        else:
+            copies.append(LeftOut(photo.name, f"it is {twin.name} again, which counts once"))
+    return kept, copies
+
+
+def _most_matched(
+    photos: Sequence[Photo], found: Registration, features: Mapping[int, Features]
+) -> tuple[int, str]:
+    """Index of the photograph with flash that most others match, and why; 0 if the first is it."""
+    names = {one.name for one in found.left_out if one.few}
+    apart = [number for number, photo in enumerate(photos) if photo.name in names]
+    dark, near = without_flash(photos), np.ones((len(photos),) * 2, bool)
+    for one, other in combinations(range(len(photos)), 2):
+        if one in apart or other in apart:
+            places, _, _ = match_photographs(*(features[id(photos[n])] for n in (one, other)))
+            near[one, other] = near[other, one] = one > 0 and places.shape[1] >= MATCHES
+    matching = near.sum(1) - 1
+    matching[list(dark)] = 0
+    best = int(matching.argmax())
+    return best, f"{matching[best]} others match it, {matching[0]} the first" if best else ""
+
+
+def _best_shown(photos: Sequence[Photo], found: Registration) -> tuple[int, str]:
+    """Index of the photograph that had better define the frame, and why; 0 if it is the first.
+
+    Why is also said where the first is blurred or in shadow, and no other is better.
+    """
+    views = [view for view in found.views if view.flash]
+    if len(views) < 2:
+        return 0, ""
+    shaded = np.array(shares_in_shadow([(view.photo, view.camera) for view in views]))
+    bad = shaded > SHADED
+    bad[0] |= found.blurred
+    overlap = np.array([_overlap(view, views) for view in views])
+    best = int(np.argmax(overlap - bad))
+    if bad[0]:
+        why = "that is blurred" if found.blurred else f"{shaded[0]:.0%} of that is in shadow"
+        return best, why if best else f"{shaded[0]:.0%} of {views[0].photo.name} is in shadow."
+    if overlap[0] > _LEAST_OVERLAP * overlap[best]:
+        return 0, ""
+    return best, f"the others show {overlap[best]:.0%} of it, and {overlap[0]:.0%} of the first"
+
+
+def _overlap(view: RegisteredView, views: Sequence[RegisteredView]) -> float:
+    """Mean share of what a photograph shows that each other one shows too."""
+    up = view.photo.pixels.shape[0] / view.photo.pixels.shape[1]
+    image = np.stack(np.meshgrid(*((np.arange(_CELLS) + 0.5) / _CELLS * 2.0 - 1.0,) * 2))
+    points = view.camera.on_plane(image * np.array([1.0, up])[:, None, None])
+    shown = []
+    for other in views:
+        if other is not view:
+            rows, columns, _ = other.photo.pixels.shape
+            shown.append(other.camera.shows(points, rows / columns, 90.0))
+    return float(np.mean(shown))
+
+
+def register(
+    photos: Sequence[Photo], setup: FlashSetup, features: Mapping[int, Features] | None = None
+) -> Registration:
     """Estimate the camera of every photograph in the first one's plane frame.
 
     Args:
         photos: two or more; any exposure, white balance and orientation.
         setup: of the first, by its coarse fit.
+        features: of each photograph by its id(); None to find them.
 
     Raises:
         MatcapError: the first was taken without the flash that the others show.
@@ -126,7 +210,10 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
             f"it was photographed without the flash ({dark[0]})",
             "name a photograph with flash first, from the middle",
         )
-    pairs, left_out = _matched(photos)
+    if features is None:
+        features = {id(photo): cache(partial(find_keypoints, photo)) for photo in photos}
+    pairs, left_out = _matched([features[id(photo)] for photo in photos], photos)
+    few = set(left_out)
     while True:
         # Fit again without the worst one, as it affects the others.
         fitted = _Fitted.of(photos, setup, pairs, dark)
@@ -141,19 +228,20 @@ def register(photos: Sequence[Photo], setup: FlashSetup) -> Registration:
         left_out[index] = f"{photos[unlit[0]].name} shows the ambient light better"
     shown = [view for view in views.values() if view.flash] + [views[n] for n in unlit[:1]]
     named = tuple(
-        LeftOut(photos[index].name, f"{dark[index]}; {why}" if index in dark else why)
+        LeftOut(photos[index].name, f"{dark[index]}; {why}" if index in dark else why, index in few)
         for index, why in sorted(left_out.items())
     )
     blurred = fitted.losses[0] > _BLURRED
     return Registration(fitted.adjusted.first, tuple(shown), named, blurred)
 
 
-def _matched(photos: Sequence[Photo]) -> tuple[dict[int, Pair], dict[int, str]]:
+def _matched(
+    features: Sequence[Features], photos: Sequence[Photo]
+) -> tuple[dict[int, Pair], dict[int, str]]:
     """Matches of photographs with the first by index; reasons of those that have too few."""
-    keypoints_of_first = cache(partial(find_keypoints, photos[0]))
     pairs, left_out = dict[int, Pair](), dict[int, str]()
     for index, photo in enumerate(photos[1:], 1):
-        first, second, pixel = match_photographs(keypoints_of_first, photo)
+        first, second, pixel = match_photographs(features[0], features[index])
         if first.shape[1] >= MATCHES:
             ratio = FlashSetup(fov=photo.fov).distance / FlashSetup(fov=photos[0].fov).distance
             pairs[index] = Pair(first, second, pixel, ratio)

@@ -25,7 +25,6 @@ from matcap.capture.multiview.mosaic import (
     predicted_beyond,
     resampled,
     seen_by_any,
-    sees,
     spread_over,
 )
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
@@ -103,9 +102,9 @@ def test_a_tilted_camera_extends_the_mosaic_as_far_as_it_sees_well():
     mosaic = mosaic_of([_view(_camera()), _view(camera)], SIZE)
     points = grid_points(*mosaic.margins.around(SIZE), mosaic.extent)
     away = camera.place[:, None, None] - points
-    seen = sees(camera, points, 0.75, STEEPEST)
+    seen = camera.shows(points, 0.75, STEEPEST)
     steep = np.degrees(np.arccos(away[2] / np.linalg.norm(away, axis=0)))
-    assert steep[seen].max() <= STEEPEST and sees(camera, points, 0.75, 89.0).sum() > seen.sum()
+    assert steep[seen].max() <= STEEPEST and camera.shows(points, 0.75, 89.0).sum() > seen.sum()
     # And no side of the box is hardly seen at all.
     known = seen_by_any([_view(_camera()), _view(camera)], mosaic).numpy()
     for side in (known[0], known[-1], known[:, 0], known[:, -1]):
@@ -225,7 +224,7 @@ def test_two_photographs_that_share_a_half_make_one_mosaic(captured):
 
     other = result.estimate.several.views[1].camera
     points = grid_points(*maps.size, mosaic.extent)
-    beyond = torch.from_numpy(sees(other, points, 0.75, STEEPEST))
+    beyond = torch.from_numpy(other.shows(points, 0.75, STEEPEST))
     beyond &= ~mosaic.margins.own(mosaic.size)
     args = piece("leather"), PHONE, cameras, 1, other, maps.size, mosaic.extent
     true = true_maps_along(*args)

@@ -14,6 +14,7 @@ from simulated.photographs import Hand, hold
 
 from matcap.capture.exemplar.estimate import estimate_exemplar
 from matcap.capture.exemplar.predict import map_set_of
+from matcap.capture.exemplar.relief_spectrum import split
 from matcap.capture.multiview import estimate
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import (
@@ -28,6 +29,7 @@ from matcap.capture.multiview.set_report import (
 )
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.solve import solve
+from matcap.capture.multiview.surface import denoised
 from matcap.capture.multiview.texels import SLOPES, Estimate, ParameterPrior, parameters_of
 from matcap.capture.multiview.views import RAW_FALLOFF, SharedLight
 from matcap.capture.pipeline import capture_photo
@@ -35,7 +37,6 @@ from matcap.capture.registration.camera import PosedCamera
 from matcap.capture.registration.register import LeftOut, RegisteredView
 from matcap.capture.report import warnings, write_outputs
 from matcap.capture.settings import MULTIVIEW_STAGES, CaptureSettings, OutputSettings
-from matcap.errors import MatcapError
 from matcap.files.color import srgb_picture
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import find_highlight, light_of
@@ -268,10 +269,20 @@ def test_a_pair_keeps_the_highlight_of_glossy_tiles():
     assert 0.9 < after.width / before.width < 1.2
 
 
-def test_nothing_in_common_is_refused(held, foreign):
-    _, photos = held
-    with pytest.raises(MatcapError, match=r"leather_9.*photograph the same sample"):
-        capture_photo(photos[0], CaptureSettings(preset="instant", detail=192), others=[foreign])
+def test_a_pair_of_which_one_is_left_is_the_capture_of_that_one(held, foreign):
+    """And so is one photograph that is given twice."""
+    first, settings = held[1][0], CaptureSettings(preset="instant", detail=192)
+    alone = capture_photo(first, settings).estimate.exemplar
+    for other, why in ((foreign, "leather_9 was left out: only"), (first, "counts once")):
+        result = capture_photo(first, settings, others=[other])
+        assert (result.estimate.exemplar.stacked() == alone.stacked()).all()
+        said = " ".join(warnings(result))
+        assert why in said and f"The maps are those of {first.name} alone" in said
+        report = result.several.document()
+        assert report["first_alone"] and [one["name"] for one in report["photographs"]] == [
+            first.name
+        ]
+        assert result.photographs == 1
 
 
 def test_a_hand_holds_the_phone_as_it_is_told():
@@ -293,6 +304,19 @@ def test_two_photographs_tell_how_strong_relief_is_of_which_half_was_read(steep)
         float(parameters_of(maps)[SLOPES].square().mean()) for maps in (one, read, found.maps)
     )
     assert before < 0.5 * true and 0.85 * true < after < 1.15 * true
+
+
+def test_noise_of_short_waves_that_two_photographs_understate_is_taken_off():
+    rng = np.random.default_rng(0)
+    true, predicted = grainy(9, (128, 128)).height[0].numpy(), np.zeros((128, 128), np.float32)
+    noise = np.float32(true.std()) * rng.normal(size=true.shape).astype(np.float32)
+    shown, changes = true + noise, [0.5 * noise, 0.5 * noise]
+    found, less = (denoised(shown, predicted, changes, understated=u) for u in (1.0, 4.0))
+    before, after = split(found), split(less)
+    for one, other in zip(before[:3], after[:3], strict=True):  # down to 8 texels
+        np.testing.assert_allclose(one, other, atol=1e-6)
+    for one, other in zip(before[4:6], after[4:6], strict=True):
+        assert np.square(other).mean() < 0.6 * np.square(one).mean()
 
 
 def test_energies_of_octaves_belong_to_wavelengths_not_to_texels():

@@ -9,8 +9,13 @@ from simulated.materials import piece
 from simulated.photographs import Hand, PhoneCamera, as_photo, hold, take, true_maps
 
 from matcap.capture.registration.camera import PosedCamera
-from matcap.capture.registration.keypoints import is_periodic, losses_of_sharpness
-from matcap.capture.registration.register import flash_first, register, without_flash
+from matcap.capture.registration.keypoints import is_periodic, losses_of_sharpness, shares_in_shadow
+from matcap.capture.registration.register import (
+    flash_first,
+    register,
+    register_in_any_order,
+    without_flash,
+)
 from matcap.errors import MatcapError
 from matcap.flash.geometry import FlashSetup
 from matcap.photo.left_out import area_averaged
@@ -74,6 +79,7 @@ def test_a_photograph_without_flash_is_last_and_gives_no_frame(pair):
 
 PHONE = PhoneCamera(width=480, height=360)
 FINE = 2  # samples along a pixel's side
+HELD = Hand()
 
 
 def _smooth(rng, deviation):
@@ -97,9 +103,9 @@ def _weave(thread, clouds, flaws):
     return albedo
 
 
-def _photographs(albedo):
+def _photographs(albedo, count=2, hand=HELD):
     """Cameras, and their flash photographs of an albedo."""
-    cameras, photos = hold(PHONE, Hand(), 2, 5), []
+    cameras, photos = hold(PHONE, hand, count, 5), []
     columns, rows = PHONE.width * FINE, PHONE.height * FINE
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     image = np.stack([x - columns / 2.0, rows / 2.0 - y]) / (columns / 2.0)
@@ -157,3 +163,69 @@ def test_a_photograph_from_farther_away_is_not_blurred():
     photos = _grey(whole[375:-375, 500:-500], "near"), _grey(whole, "far")
     sharp, loss = losses_of_sharpness(photos, (near, far))
     assert sharp == 0.0 and loss < 0.12
+
+
+# Photographs of a set that is not perfect: which of them defines the frame.
+
+
+@pytest.fixture(scope="module")
+def grain():
+    """Three photographs of grain."""
+    return _photographs(_weave(1e9, 0.1, 0.3), 3)[1]
+
+
+def _names(found):
+    return [view.photo.name for view in found.views], [one.name for one in found.left_out]
+
+
+def test_a_copy_counts_once(grain):
+    copy = replace(grain[0], pixels=grain[0].pixels.copy(), name="copy")
+    found = register_in_any_order([grain[0], copy, grain[1], grain[1]])
+    assert _names(found) == (["p0", "p1"], ["copy", "p1"])
+    assert found.left_out[0].why == "it is p0 again, which counts once"
+    assert found.frame is None
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_blurred_first_gives_way(grain, count):
+    smeared = cv2.blur(grain[0].pixels, (9, 1))
+    found = register_in_any_order([replace(grain[0], pixels=smeared), *grain[1:count]])
+    assert found.views[0].photo is grain[1] and _names(found)[1] == ["p0"]
+    assert "blurred" in found.left_out[0].why
+    assert found.frame == "The maps are those of what p1 shows, not p0: that is blurred."
+
+
+def _shadowed(photo):
+    dark = photo.pixels.copy()
+    dark[180:, 240:] *= 0.2
+    return replace(photo, pixels=dark)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_first_in_shadow_gives_way_and_is_used(grain, count):
+    found = register_in_any_order([_shadowed(grain[0]), *grain[1:count]])
+    assert found.views[0].photo is not grain[0] and len(found.views) == count
+    assert not found.left_out and "of that is in shadow" in found.frame
+
+
+def test_a_shadow_is_of_the_photograph_that_is_darker(grain):
+    views = register(grain, FlashSetup(fov=PHONE.fov)).views
+    cameras = [view.camera for view in views]
+    assert max(shares_in_shadow(list(zip(grain, cameras, strict=True)))) < 0.02
+    dark = [grain[0], _shadowed(grain[1]), grain[2]]
+    shares = shares_in_shadow(list(zip(dark, cameras, strict=True)))
+    assert 0.15 < shares[1] < 0.4 and max(shares[0], shares[2]) < 0.02
+
+
+def test_a_first_of_another_sample_gives_way(grain):
+    other = replace(_photographs(_weave(0.1, 0.1, 0.05))[1][0], name="other")
+    found = register_in_any_order([other, *grain])
+    assert _names(found) == (["p0", "p1", "p2"], ["other"])
+    assert "2 others match it, 0 the first" in found.frame
+
+
+def test_the_photograph_that_others_overlap_most_defines_the_frame():
+    photos = _photographs(_weave(1e9, 0.1, 0.3), 5, Hand(aside=0.55, aimed=1.0))[1]
+    found = register_in_any_order([photos[1], photos[0], *photos[2:]])
+    assert found.views[0].photo is photos[0] and "the others show" in found.frame
+    assert register_in_any_order(photos).frame is None
