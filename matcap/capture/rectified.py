@@ -101,8 +101,6 @@ def _degrees(angles: Sequence[float]) -> list[float]:
 # Such textures are read on half as many texels across, and finer bands are transferred from the
 # photograph (exemplar/detail_transfer.py). Figures in docs/notes/capture.md.
 
-UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
-
 # Detection of coarse textures; docs/notes/capture.md.
 
 _FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped, as it is noise

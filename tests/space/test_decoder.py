@@ -341,7 +341,8 @@ def test_samples_are_drawn_from_a_given_prior(prior, tmp_path, capsys):
 
 
 def test_the_shipped_prior_loads_and_draws():
-    from matcap.space.prior.store import SHIPPED, load_prior
+    from matcap.space.prior import SHIPPED
+    from matcap.space.prior.store import load_prior
 
     assert SHIPPED.stat().st_size < 30e6
     prior = load_prior()
