@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from materials import quick_maps
 from PIL import Image
 from simulated.files import write_jpeg
 from simulated.materials import piece
@@ -28,10 +29,8 @@ from matcap.capture.rectified import (
 )
 from matcap.capture.report import OutputSettings, write_outputs
 from matcap.capture.settings import DETAIL, CaptureSettings
-from matcap.field.field import read_source
 from matcap.field.material import Material
 from matcap.field.opened import open_photographed
-from matcap.field.plane import Grid, Rectangle
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.geometry import FlashSetup, Margins
@@ -249,13 +248,9 @@ def test_a_portrait_decoder_field_is_the_landscape_one_rotated(photographs, tmp_
     standing.material.save(tmp_path / "standing.matcap")
     read = Material.load(tmp_path / "standing.matcap")
     for material, period in ((standing.material, None), (read, (128, 96))):
-        # Blocks much smaller than the shipped ones, so that four of them take little time.
-        lain_source, source = (
-            replace(one.generator.source(5, own), grid=Grid(128, 64))
-            for one, own in ((lying.material, period and period[::-1]), (material, period))
-        )
-        turned = read_source(lain_source, Rectangle(-30, -17 - 60, 80, 60), 1).turned(-1)
-        maps = read_source(source, Rectangle(17, -30, 60, 80), 1)
+        place = {"x": -30, "y": -17 - 60, "period": period and period[::-1]}
+        turned = quick_maps(lying.material, 80, 60, seed=5, **place).turned(-1)
+        maps = quick_maps(material, 60, 80, seed=5, x=17, y=-30, period=period)
         assert torch.equal(maps.stacked(), turned.stacked())
 
 
