@@ -7,9 +7,13 @@ import pickle
 import pytest
 from hypothesis import HealthCheck, settings
 
+from matcap.files.process import keep_memory
+
 # Of every library and process, before any is loaded: threads of small tests wait for each other,
 # and for the other processes of pytest-xdist.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# As in matcap's own processes: clearing pages that were returned took a tenth of the tests' time.
+keep_memory()
 
 # How fast a busy machine makes examples up is no property of the code under test.
 settings.register_profile("matcap", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -27,21 +31,31 @@ def two_threads():
     torch.set_num_threads(before)
 
 
+@pytest.fixture(scope="session")
+def remembered():
+    """Of a slow function one that computes once for equal arguments."""
+
+    def of(function):
+        known = {}
+
+        def once(*given, **named):
+            asked = hashlib.sha256(pickle.dumps((given, named))).digest()
+            if asked not in known:
+                known[asked] = function(*given, **named)
+            return known[asked]
+
+        return once
+
+    return of
+
+
 @pytest.fixture(scope="module")
-def one_coarse_fit():
-    """A coarse fit, two seconds, is made once for all captures of the same photograph."""
+def one_coarse_fit(remembered):
+    """A coarse fit, half a second, is made once for all captures of the same photograph."""
     from matcap.capture import rectified
 
-    known, fit_coarse = {}, rectified.fit_coarse
-
-    def fit(*given, **named):
-        asked = hashlib.sha256(pickle.dumps((given, named))).digest()
-        if asked not in known:
-            known[asked] = fit_coarse(*given, **named)
-        return known[asked]
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rectified, "fit_coarse", fit)
+        patch.setattr(rectified, "fit_coarse", remembered(rectified.fit_coarse))
         yield
 
 

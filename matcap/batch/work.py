@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from filelock import FileLock, Timeout
 
 from matcap.batch.samples import WORKSPACE, BatchSettings, Policy, ShotSample, identity
-from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.report import refuse_to_replace_longer_capture
+from matcap.capture.settings import UNION_TIMES
 from matcap.errors import MatcapError
 from matcap.files.names import OnProgress, Progress, read_document
 from matcap.files.output import HIDDEN, Output, write_error

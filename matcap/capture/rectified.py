@@ -30,6 +30,7 @@ from matcap.field.source import one_thread
 from matcap.files.color import srgb_slope
 from matcap.flash.alignment import tilt_measurement
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
+from matcap.flash.diffuse_share import blur
 from matcap.flash.geometry import flash_mirror_point, points_of
 from matcap.flash.light import (
     FlashLight,
@@ -101,8 +102,6 @@ def _degrees(angles: Sequence[float]) -> list[float]:
 # Such textures are read on half as many texels across, and finer bands are transferred from the
 # photograph (exemplar/detail_transfer.py). Figures in docs/notes/capture.md.
 
-UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
-
 # Detection of coarse textures; docs/notes/capture.md.
 
 _FAINTEST = 1e-4  # linear radiance below which the logarithm is clamped, as it is noise
@@ -135,18 +134,12 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
         if scale > 2.0:
             finer, seen = _halved(finer), _halved(seen)
         deviation = min(scale, 2.0)
-        weight = np.maximum(_blur(seen, deviation), 1e-3)
-        blurred = _blur(finer * seen, deviation) / weight
+        weight = np.maximum(blur(seen, deviation), 1e-3)
+        blurred = blur(finer * seen, deviation) / weight
         variances.append(float(np.average(np.square(finer - blurred), weights=seen)))
         finer = blurred
     whole = sum(variances)
     return variances[-1] / whole if whole > 0.0 else 0.0
-
-
-def _blur(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
-    # OpenCV's default border excludes the outermost texel, a large share of a small picture.
-    blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred, np.float32)
 
 
 def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -37,9 +37,11 @@ PREVIEW, REPORT = "preview.png", "report.json"
 
 def files_written(names: Sequence[str]) -> set[str]:
     """Which of a folder's files, by `names`, are of a capture, a map set or an export in it."""
-    from matcap.export.targets import TARGETS
-
     documents = [Path(name).stem for name in names if name.endswith(".json")]
+    if not documents:
+        return set()
+    from matcap.export.targets import TARGETS  # takes a second
+
     written = {file for name in documents for file in (*mapset_files(name), preview_name(name))}
     for name, _, target in (document.rpartition("_") for document in documents):
         if target in TARGETS:

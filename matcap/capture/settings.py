@@ -33,6 +33,7 @@ QUICK_DETAIL = 512
 DETAIL = 1024
 FINE_DETAIL = 2048
 DETAILS = (QUICK_DETAIL, DETAIL, FINE_DETAIL)
+UNION_TIMES = 4  # largest exemplar of several photographs, in texels of the first one's
 # Settings that only the decoder uses, and their options.
 _OF_DECODER = {"steps": "--steps", "prior": "--prior", "drawing": "--no-drawing"}
 # Settings that take the place of what the photograph says, of one photograph by example.
@@ -224,6 +225,8 @@ def _known_targets(names: Sequence[str]) -> tuple[str, ...]:
     Raises:
         UsageError: a name is unknown.
     """
+    if not names:  # targets take a second to import
+        return ()
     from matcap.export.targets import check_targets
 
     return check_targets(names)
@@ -288,12 +291,14 @@ def prior_file(prior: str) -> Path | None:
     Raises:
         MatcapError: the named file is no prior.
     """
-    from matcap.space.prior.store import SHIPPED, load_prior
+    from matcap.space.prior import SHIPPED
 
     if prior == "none":
         return None
     if prior == "auto":
         return SHIPPED
+    from matcap.space.prior.store import load_prior  # takes a second
+
     load_prior(Path(prior))  # a broken one would fail for every photograph of a batch
     return Path(prior)
 

@@ -139,15 +139,15 @@ def measure_diffuse_share(
     """
     height, width = seen.shape
     unit = width / ACROSS
-    smooth = _blur(pixels, _SMOOTH * unit)
-    whole = _blur(seen.astype(np.float32), _SMOOTH * unit) > _WHOLE
+    smooth = blur(pixels, _SMOOTH * unit)
+    whole = blur(seen.astype(np.float32), _SMOOTH * unit) > _WHOLE
     usable = whole & (smooth.min(-1) > _DARKEST)
     weight = usable.astype(np.float32)
     around = _wide_blur(weight, _TEXTURE * unit) + np.float32(1e-6)
     level = _wide_blur(smooth * weight[..., None], _TEXTURE * unit) / around[..., None]
     mean = np.maximum(level.mean(-1, keepdims=True), np.float32(1e-6))
     high = (smooth - level) / mean
-    drawn = np.zeros_like(level) if noise is None else _blur(noise, _SMOOTH * unit)
+    drawn = np.zeros_like(level) if noise is None else blur(noise, _SMOOTH * unit)
     if developed:
         drawn = _CODES / (255.0 * srgb_slope(level))
     variance = np.square(drawn / mean)
@@ -210,8 +210,10 @@ def _colour_energy(texels: NDArray[np.float64], turn: NDArray[np.float64]) -> tu
     return float(energy.mean()), 0.5 * float(error)
 
 
-def _blur(picture: Floats, deviation: float) -> Floats:
-    """Gaussian blur, mirrored at the border."""
+def blur(picture: Floats, deviation: float) -> Floats:
+    """Gaussian blur, mirrored at the border: OpenCV's default excludes the outermost texel, a large
+    share of a small picture.
+    """
     blurred = cv2.GaussianBlur(picture, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
     return np.asarray(blurred, np.float32)
 
@@ -220,5 +222,5 @@ def _wide_blur(picture: Floats, deviation: float) -> Floats:
     """_blur of a large deviation, on a grid of 4 x 4 pixels."""
     height, width = picture.shape[:2]
     small = area_averaged(picture, (max(1, width // 4), max(1, height // 4)))
-    blurred = cv2.resize(_blur(small, deviation / 4.0), (width, height))
+    blurred = cv2.resize(blur(small, deviation / 4.0), (width, height))
     return np.asarray(blurred, np.float32)

@@ -328,6 +328,7 @@ def test_brackets_among_files_are_found(tmp_path, stated):
     assert find_brackets(paths[:1]) == [(paths[0],)]
 
 
+@pytest.mark.usefixtures("one_coarse_fit")
 def test_inspect_judges_what_capture_merges(tmp_path, capsys):
     """And does not ask for the darker photograph that is given."""
     light = scene()

@@ -439,12 +439,9 @@ def test_a_time_limit_that_overrides_the_preset_is_noted(captured):
     assert report_report(counted)["notes"] == usual
 
 
-# The commands on a real, if random, material, in processes of their own.
+# The commands on a real, if random, material, in a process of their own.
 
-
-def run(folder, *arguments):
-    command = [sys.executable, "-c", "from matcap.cli.main import run; run()", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+SYNTH = ("--size", "96x40", "--seed", "7", "--png", "-q", "-o")
 
 
 @pytest.fixture(scope="module")
@@ -455,23 +452,33 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_the_same_request_in_two_processes_gives_the_same_files(folder, matcap):
-    words = ("--size", "96x40", "--seed", "7", "--png", "-o")
-    assert matcap("synth", folder / "noise.matcap", *words, folder / "first").code == 0
-    said = run(folder, "synth", "noise.matcap", *words, "second")
-    assert said.returncode == 0, said.stderr
+@pytest.fixture(scope="module")
+def elsewhere(folder):
+    """One process, as it takes seconds to start: the console script relights what it has made."""
+    program = f"""
+import sys
+from matcap.cli.main import main, run
+assert main(["synth", "noise.matcap", *{SYNTH}, "second"]) == 0
+sys.argv[1:] = ["relight", "second", "--quiet", "--size", "64x48", "-o", "small.png"]
+run()
+"""
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_the_same_request_in_two_processes_gives_the_same_files(folder, matcap, elsewhere):
+    assert matcap("synth", folder / "noise.matcap", *SYNTH, folder / "first").code == 0
+    assert elsewhere.returncode == 0, elsewhere.stderr
     files = sorted(f.name for f in (folder / "first").iterdir())
     assert len(files) == 12
     for name in files:
         assert filecmp.cmp(folder / "first" / name, folder / "second" / name, shallow=False)
 
 
-def test_reading_pictures_leaks_no_warning_at_exit(folder, matcap):
+def test_reading_pictures_leaks_no_warning_at_exit(folder, elsewhere):
     """Python is not to skip at its end what OpenImageIO then would miss."""
-    made = matcap("synth", folder / "noise.matcap", "--size", "32x32", "-o", folder / "small")
-    assert made.code == 0
-    said = run(folder, "relight", "small", "--quiet", "--size", "64x48", "-o", "small.png")
-    assert (said.returncode, said.stderr) == (0, "")
+    assert (elsewhere.returncode, elsewhere.stderr) == (0, "")
+    assert (folder / "small.png").is_file()
 
 
 def test_a_material_relights_without_a_map_set(matcap, folder):

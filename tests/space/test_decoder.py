@@ -7,7 +7,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from example.exemplars import PERIODS, blobs, bricks
-from materials import a_material
+from materials import a_material, quick_maps
 
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
@@ -230,10 +230,10 @@ def test_the_ends_of_a_blend_are_the_given_materials(prior):
 
 def test_a_blend_near_an_end_is_similar_to_it(prior):
     a, b = prior.draw(1), prior.draw(2)
-    first, last = (m.maps(64, 64).stacked()[:5] for m in (a, b))
+    first, last = (quick_maps(m, 64, 64).stacked()[:5] for m in (a, b))
     distances = []
     for share in (0.01, 0.25, 0.5, 0.75, 0.99):
-        found = blend(a, b, share).maps(64, 64).stacked()[:5]
+        found = quick_maps(blend(a, b, share), 64, 64).stacked()[:5]
         distances.append((float((found - first).abs().mean()), float((found - last).abs().mean())))
     from_a, from_b = zip(*distances, strict=True)
     assert list(from_a) == sorted(from_a) and list(from_b) == sorted(from_b, reverse=True)
@@ -267,7 +267,7 @@ def test_a_material_without_order_blends_with_one_that_has_cells(prior):
         mostly_ordered = blend(*ends, share)
         made = mostly_ordered.part(TunedDecoder)
         assert made.waves == waves and made.decoder.config.cells == CELL_CHANNELS
-        assert torch.isfinite(mostly_ordered.maps(64, 64).stacked()).all()
+        assert torch.isfinite(quick_maps(mostly_ordered, 64, 64).stacked()).all()
 
 
 def test_incompatible_materials_are_not_blended(prior):
@@ -319,7 +319,7 @@ def test_a_lattice_is_found_again_and_patches_keep_to_it():
 
 
 def test_setups_of_a_portrait_and_a_landscape_keep_the_nearer_ones_geometry():
-    example = Example.of(blobs())
+    example = Example.of(blobs(112, 96))
     lying = a_material("lying", example=example).by("example")
     turned = replace(lying.setup, turned=True, tilt=(0.1, 0.0), intensity=(3.0, 3.0, 3.0))
     standing = replace(lying, setup=turned)
@@ -341,7 +341,8 @@ def test_samples_are_drawn_from_a_given_prior(prior, tmp_path, capsys):
 
 
 def test_the_shipped_prior_loads_and_draws():
-    from matcap.space.prior.store import SHIPPED, load_prior
+    from matcap.space.prior import SHIPPED
+    from matcap.space.prior.store import load_prior
 
     assert SHIPPED.stat().st_size < 30e6
     prior = load_prior()

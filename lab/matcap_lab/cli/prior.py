@@ -140,7 +140,7 @@ def make(
     of the prior's name.
     """
     from matcap.files.output import check_writable
-    from matcap.space.prior.store import SHIPPED
+    from matcap.space.prior import SHIPPED
     from matcap_lab.train.finish import make_prior
 
     check_writable(out.parent, 200_000_000)

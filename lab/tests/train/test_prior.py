@@ -13,7 +13,8 @@ from small import SMALL
 
 from matcap.errors import MatcapError, UsageError
 from matcap.flash.alignment import load_alignment
-from matcap.space.prior.store import SHIPPED, base_of, load_prior
+from matcap.space.prior import SHIPPED
+from matcap.space.prior.store import base_of, load_prior
 from matcap.space.tuning.finetune import Tuned
 from matcap_lab.experiment.runner import Configuration
 from matcap_lab.simulate.kinds import RandomKind

@@ -29,9 +29,9 @@ from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.surface import integrated
 from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of, slopes_of
 from matcap.capture.multiview.views import SharedLight
-from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import Doubles, PosedCamera, grid_points, to_pixels
 from matcap.capture.registration.register import RegisteredView
+from matcap.capture.settings import UNION_TIMES
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import Extent, FlashSetup, Margins
 from matcap.flash.light import cached_rows, strips

@@ -19,9 +19,9 @@ from matcap.capture.registration.camera import (
     to_pixels,
     transformed,
 )
+from matcap.capture.registration.one_place import FINE, normalise_contrast
 from matcap.files.color import srgb_encode
 from matcap.flash.light import CORNER_SQUARED
-from matcap.photo.inspect import blurred
 from matcap.photo.left_out import area_averaged
 from matcap.photo.photo import Photo
 
@@ -43,10 +43,6 @@ _RATIO = 0.95  # largest ratio of the distances of nearest and second nearest ma
 _INLIER = 2.5  # largest distance of an inlier from the homography, pixels
 _ENOUGH = 200  # inliers below which votes and the other contrast normalisation are tried as well
 _VOTERS = 600  # largest number of matches that vote
-FINE = 0.8  # standard deviation of the blur against noise, pixels
-_SLOW = 24.0  # standard deviation of the high-pass, pixels
-_AROUND = 40.0  # standard deviation of the local contrast, pixels
-_FAINT = 0.01  # log radiance added to the local contrast, so that noise is not amplified
 
 # Test for periodic patterns.
 _PERIOD_ACROSS = 640  # width of the downsampled photograph, pixels
@@ -101,14 +97,6 @@ def find_keypoints(photo: Photo, normalise: ContrastNormalisation) -> Keypoints:
     # OpenCV's angles are clockwise.
     shape = np.array([p.size / half * np.exp(-1j * np.radians(p.angle)) for p in points], complex)
     return Keypoints(image, np.sqrt(share, dtype=np.float32), 1.0 / half, shape)
-
-
-def normalise_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """8-bit high-passed log radiance over its local mean amplitude."""
-    log = np.log(np.maximum(grey, 1e-5))
-    fine = blurred(log, FINE) - blurred(log, _SLOW)
-    size = np.sqrt(blurred(fine * fine, _AROUND)) + _FAINT
-    return np.asarray((128.0 + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))
 
 
 def equalise_histogram(grey: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.registration.keypoints import normalise_contrast
+from matcap.photo.inspect import blurred
 from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.photo import Photo
 
@@ -33,6 +33,10 @@ _LEAST_TILES, _LEAST_AGREEING = 10, 0.4  # number, and share, of tiles that agre
 _SMOOTH, _LEAST_WHOLE = 512, 0.3
 _SAME_SHAPE = 0.02  # difference of heights over the width
 _LEVEL = 128.0  # of normalised contrast, where there is none
+FINE = 0.8  # standard deviation of the blur against noise, pixels
+_SLOW = 24.0  # standard deviation of the high-pass, pixels
+_AROUND = 40.0  # standard deviation of the local contrast, pixels
+_FAINT = 0.01  # log radiance added to the local contrast, so that noise is not amplified
 
 
 def alignment(first: Photo, second: Photo) -> Matrix | None:
@@ -199,3 +203,11 @@ def _contrast(photo: Photo, columns: int) -> tuple[Picture, NDArray[np.bool_]]:
     usable = (seen > 0) & (grey >= 1e-4)
     contrast = np.where(usable, normalise_contrast(grey).astype(np.float32) - _LEVEL, 0.0)
     return np.asarray(contrast, np.float32), usable
+
+
+def normalise_contrast(grey: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """8-bit high-passed log radiance over its local mean amplitude."""
+    log = np.log(np.maximum(grey, 1e-5))
+    fine = blurred(log, FINE) - blurred(log, _SLOW)
+    size = np.sqrt(blurred(fine * fine, _AROUND)) + _FAINT
+    return np.asarray((_LEVEL + 48.0 * fine / size).clip(0, 255).round().astype(np.uint8))

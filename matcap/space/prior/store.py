@@ -31,6 +31,7 @@ from matcap.photo.photo import Photo
 from matcap.space.decoder import CODE_SIZE, DRAWING_CHANNELS, Decoder, DecoderConfig
 from matcap.space.encoder import Encoder, EncoderConfig, describe_windows, numbers, texture
 from matcap.space.freeze import freeze
+from matcap.space.prior import SHIPPED
 from matcap.space.tuned import TunedDecoder, config_document, decoder_config, empty_decoder
 from matcap.space.tuning.match import head_start, log_contrast
 from matcap.statistics.lattice import Wave, find_lattice
@@ -227,7 +228,6 @@ class Anchors:
 
 FORMAT = "matcap-prior"
 VERSIONS = (1, 2, 3)
-SHIPPED = Path(__file__).parent / "weights" / "prior.safetensors"
 # The prior's decoder, trained on to read drawings.
 DRAWING_START = SHIPPED.with_name("drawing.safetensors")
 

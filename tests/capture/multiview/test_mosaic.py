@@ -30,11 +30,10 @@ from matcap.capture.multiview.mosaic import (
 from matcap.capture.multiview.texels import SLOPES, Estimate, parameters_of
 from matcap.capture.multiview.views import SharedLight
 from matcap.capture.pipeline import capture_photo
-from matcap.capture.rectified import UNION_TIMES
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.registration.register import RegisteredView
 from matcap.capture.report import write_outputs
-from matcap.capture.settings import CaptureSettings, OutputSettings
+from matcap.capture.settings import UNION_TIMES, CaptureSettings, OutputSettings
 from matcap.cli.main import main
 from matcap.field.opened import open_photographed
 from matcap.flash.coarse.fit import CoarseFit

@@ -46,6 +46,7 @@ from matcap.flash.rectify import picture_of
 # Several photographs of one piece: cameras, places, maps, and what is said of them.
 
 
+pytestmark = pytest.mark.usefixtures("one_coarse_fit")
 FEWER_PIXELS = replace(PHONE, width=480, height=360)
 NOTHING_KNOWN = LOG_ERROR.expand(4, *SIZE)
 

@@ -19,13 +19,8 @@ from matcap.capture.registration.camera import (
     camera_deviations,
     grid_points,
 )
-from matcap.capture.registration.keypoints import (
-    Keypoints,
-    find_keypoints,
-    matched,
-    mutual_nearest,
-    normalise_contrast,
-)
+from matcap.capture.registration.keypoints import Keypoints, find_keypoints, matched, mutual_nearest
+from matcap.capture.registration.one_place import normalise_contrast
 from matcap.capture.registration.register import MATCHES
 from matcap.flash.geometry import FlashSetup, project
 from matcap.photo.checks import CHECKS

@@ -30,6 +30,7 @@ from matcap.flash.rectify import rectify
 from matcap.photo.checks import CAUSES, CHECKS, RESIDUES, Rating
 from matcap.photo.inspect import Inspection, inspect_photo
 
+pytestmark = pytest.mark.usefixtures("one_coarse_fit")
 SPOT = Highlight((0.0, 0.0), 0.1, 0.9, 0.1)
 GOOD_SHOT = Inspection(
     "made up",
