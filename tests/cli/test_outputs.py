@@ -67,7 +67,8 @@ def test_existing_files_are_replaced_with_overwrite_alone(matcap, place, writer)
     option = "--html" if writer == "view" else "-o"
     words = (*words, option, out / file if writer == "view" else target.get(writer, out), "-q")
     said = matcap(*words)
-    assert said.code == 3 and "this exists already" in said.err and "--overwrite" in said.err
+    advice = f"this exists already; choose another name with {option}, or give --overwrite"
+    assert said.code == 3 and advice in said.err
     assert everything(out) == {file: MINE} and matcap(*words, "--overwrite").code == 0
     assert (out / file).read_bytes() != MINE
 
