@@ -252,7 +252,7 @@ def view(
     The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
     from matcap.cli.display import working
-    from matcap.files.output import check_output
+    from matcap.files.output import check_output, check_writable
     from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.subject import Materials, open_subject, reference_photograph
 
@@ -266,6 +266,7 @@ def view(
         check_page_path(html)
         inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
         check_output([html], inputs=inputs, overwrite=overwrite, option="--html")
+        check_writable(html.parent, 0)
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
     shown = reference_photograph(path, subject.facts.name, photo, material)

@@ -111,6 +111,13 @@ def test_suffixes_are_checked_everywhere(matcap, place, words, said):
     assert found.code == 2 and said in found.err and everything(place) == before
 
 
+def test_a_page_that_cannot_be_written_is_not_made(matcap, place, monkeypatch):
+    monkeypatch.setattr("matcap.view.document.sealed_page", None)
+    (place / "taken").write_text("a file")
+    said = matcap("view", "set", "--html", "taken/page.html")
+    assert said.code == 3 and "a file stands where a folder is needed" in said.err
+
+
 FORGED = ("../../victim/keep", "../x", "/tmp/x", ".keep", "a\nb", "a\0b")
 
 
