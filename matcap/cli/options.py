@@ -15,7 +15,7 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type
 import typer
 from typer.core import TyperCommand, TyperOption
 
-from matcap.files.settings import Setting, settings_in
+from matcap.files.settings import NUMBERS, Setting, settings_in
 
 GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
 EVERYDAY, SEVERAL, OUTPUT, DECODER, ADVANCED = GROUPS
@@ -197,8 +197,10 @@ def _parameter(one: Setting) -> inspect.Parameter:
         kind = list[str]
     elif one.parse is not None:
         kind, more = Any, {"parser": typed(one.parse)}
-    elif math.isfinite(one.least):
-        metavar = metavar or _range(one.least, one.most)
+    elif kind in NUMBERS:
+        kind, more = Any, {"parser": typed(one.number)}
+        if math.isfinite(one.least):
+            metavar = metavar or _range(one.least, one.most)
     off = f"--no-{one.flag[2:]}" if one.off == "" else one.off
     flag = f"{one.flag}/{off}" if kind is bool and off else one.flag
     names = [flag, *([one.short] if one.short else [])]

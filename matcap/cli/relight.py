@@ -108,6 +108,8 @@ def relight(
     scene, size, maps_from, light = asked.scene, asked.size, asked.maps_from, asked.light
     if light and scene is not None:
         raise UsageError.at("--light", "a scene has its own lights", "leave it out")
+    if maps_from is not None and path != Path():
+        raise UsageError.at("--maps-from", f"{path} is given too", "leave one of both out")
     read = chosen(ReadOptions, reading)
     if maps_from is not None and read != ReadOptions(read.generator):
         refused = {"adjust": "are not adjusted", "variety": "have no patches"}
@@ -250,7 +252,7 @@ def view(
     The page is served to this machine only, until Ctrl-C. Its address is printed on stdout.
     """
     from matcap.cli.display import working
-    from matcap.files.output import check_output
+    from matcap.files.output import check_output, check_writable
     from matcap.view.document import check_page_path, sealed_page, write_page
     from matcap.view.subject import Materials, open_subject, reference_photograph
 
@@ -263,7 +265,8 @@ def view(
     if html is not None:
         check_page_path(html)
         inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
-        check_output([html], inputs=inputs, overwrite=overwrite)
+        check_output([html], inputs=inputs, overwrite=overwrite, option="--html")
+        check_writable(html.parent, 0)
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
     shown = reference_photograph(path, subject.facts.name, photo, material)

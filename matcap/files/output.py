@@ -109,13 +109,18 @@ class Output:
 
 
 def check_output(
-    paths: Iterable[Path], *, inputs: Iterable[Path] = (), overwrite: bool = False
+    paths: Iterable[Path],
+    *,
+    inputs: Iterable[Path] = (),
+    overwrite: bool = False,
+    option: str = "-o",
 ) -> None:
     """Refuse outputs that exist, or that would replace an input.
 
     Args:
         inputs: files that the call reads, and folders of such files.
         overwrite: replace what exists.
+        option: names the outputs, for the advice.
 
     Raises:
         UsageError: an output is an input.
@@ -130,11 +135,10 @@ def check_output(
         if path.resolve() in read:
             raise UsageError.at(path, "the same command reads this file", "choose another name")
         if path.is_dir():
-            raise MatcapError.at(path, "this is a folder", "choose another name with -o")
+            raise MatcapError.at(path, "this is a folder", f"choose another name with {option}")
         if path.exists() and not overwrite:
-            raise MatcapError.at(
-                path, "this exists already", "choose another name with -o, or give --overwrite"
-            )
+            remedy = f"choose another name with {option}, or give --overwrite"
+            raise MatcapError.at(path, "this exists already", remedy)
 
 
 def check_writable(folder: Path, space: int, names: Iterable[str] = ()) -> None:

@@ -88,7 +88,10 @@ def postponed() -> Iterator[Callable[[], int]]:
 @contextmanager
 def starting_children() -> Iterator[None]:
     """Context for starting processes, which inherit blocked signals until settle_child()."""
+    from multiprocessing import resource_tracker
+
     with postponed() as came:
+        resource_tracker.ensure_running()  # its own start unblocks both signals
         signal.pthread_sigmask(signal.SIG_BLOCK, _BOTH)
         try:
             yield

@@ -183,6 +183,7 @@ def spoken_duration(seconds: float) -> str:
 
 _KINDS: Mapping[str, type] = {"int": int, "float": float, "bool": bool, "Path": Path}
 _WORDS = {int: "a whole number", float: "a number", bool: "true or false"}
+NUMBERS = (int, float)
 
 
 @dataclass(frozen=True)
@@ -240,6 +241,18 @@ class Setting:
                 f"{_short(value)} is out of range",
                 f"give between {self.least:g} and {self.most:g}",
             )
+
+    def number(self, text: Any) -> Any:  # noqa: ANN401
+        """The number that a text gives; its range is check()'s.
+
+        Raises:
+            ValueError: it is none.
+        """
+        try:
+            return self.kind(text)
+        except ValueError as error:
+            limits = f" between {self.least:g} and {self.most:g}" if self.most < math.inf else ""
+            raise ValueError(f"'{text}' is not {_WORDS[self.kind]}{limits}") from error
 
     def typed(self, value: Any, where: str) -> Any:  # noqa: ANN401
         """Convert a value from a file or from Python to the field's type, and check it.

@@ -55,6 +55,23 @@ def test_close_stops_work_at_once(workers):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
+def test_the_first_worker_of_a_process_is_started_with_signals_blocked():
+    """Of a batch: a Ctrl-C in the first worker's imports was reported as its crash."""
+    code = (
+        "import time, multiprocessing\n"
+        "from matcap.files.process import starting_children\n"
+        "process = multiprocessing.get_context('spawn').Process(target=time.sleep, args=(60,))\n"
+        "with starting_children():\n"
+        "    process.start()\n"
+        "print(open(f'/proc/{process.pid}/status').read())\n"
+        "process.kill()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    blocked = int(ended.stdout.split("SigBlk:")[1].split()[0], 16)
+    assert all(blocked >> (which - 1) & 1 for which in (signal.SIGINT, signal.SIGTERM))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 def test_workers_end_when_the_main_process_is_killed():
     code = (
         "import sys; sys.path[:0] = sys.argv[1:]; import pool_jobs as t\n"

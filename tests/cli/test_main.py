@@ -355,6 +355,19 @@ def test_nan_is_no_number(matcap, text):
     assert matcap("sample", "-t", text).code == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--width-cm", "20mm"), "'20mm' is not a number between 0.01 and 100000"),
+        (("--albedo", "0,18"), "'0,18' is not a number between 0.005 and 1"),
+        (("--steps", "1.5"), "'1.5' is not a whole number between 0 and 1e+07"),
+    ],
+)
+def test_what_is_no_number_is_repeated_with_its_range(matcap, words, said):
+    found = matcap("capture", "a.dng", *words)
+    assert found.code == 2 and said in " ".join(found.err.replace("│", " ").split())
+
+
 @pytest.mark.parametrize("seed", [-(2**63), 2**63 - 1, 0])
 def test_seeds_of_64_bits_are_seeds(seed):
     assert values.seed(str(seed)) == seed

@@ -67,7 +67,8 @@ def test_existing_files_are_replaced_with_overwrite_alone(matcap, place, writer)
     option = "--html" if writer == "view" else "-o"
     words = (*words, option, out / file if writer == "view" else target.get(writer, out), "-q")
     said = matcap(*words)
-    assert said.code == 3 and "this exists already" in said.err and "--overwrite" in said.err
+    advice = f"this exists already; choose another name with {option}, or give --overwrite"
+    assert said.code == 3 and advice in said.err
     assert everything(out) == {file: MINE} and matcap(*words, "--overwrite").code == 0
     assert (out / file).read_bytes() != MINE
 
@@ -108,6 +109,13 @@ def test_suffixes_are_checked_everywhere(matcap, place, words, said):
     before = everything(place)
     found = matcap(*words, "--overwrite")
     assert found.code == 2 and said in found.err and everything(place) == before
+
+
+def test_a_page_that_cannot_be_written_is_not_made(matcap, place, monkeypatch):
+    monkeypatch.setattr("matcap.view.document.sealed_page", None)
+    (place / "taken").write_text("a file")
+    said = matcap("view", "set", "--html", "taken/page.html")
+    assert said.code == 3 and "a file stands where a folder is needed" in said.err
 
 
 FORGED = ("../../victim/keep", "../x", "/tmp/x", ".keep", "a\nb", "a\0b")

@@ -290,6 +290,7 @@ def test_maps_of_other_programs_are_relit(run, tmp_path):
         (("m", "-o", "scene.toml/a.png"), 3, "a file stands where a folder is needed"),
         (("nowhere",), 3, "no such file or folder"),
         (("--maps-from", "nowhere"), 3, "no such folder"),
+        (("m", "--maps-from", "m"), 2, "m is given too; leave one of both out"),
     ],
 )
 def test_wrong_options_are_one_sentence(run, tmp_path, arguments, code, message):
