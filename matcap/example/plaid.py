@@ -96,10 +96,10 @@ def _drift(log: Floats, along: int, below: int) -> Floats:
         for planes, into in ((terms, known), (means, wanted)):
             moved = planes.swapaxes(axis, 2)
             into.append((moved[:, :, ahead] - moved[:, :, behind]).reshape(len(planes), -1))
-    steps, found = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
+    steps, sought = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
     gram = steps @ steps.T
     ridge = _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
-    amounts = np.linalg.solve(gram + ridge, steps @ found.T)
+    amounts = np.linalg.solve(gram + ridge, steps @ sought.T)
     drift = np.einsum("tc,thw->chw", amounts, _quadratic(log.shape[1:])[1:])
     return np.asarray(drift - drift.mean(axis=(1, 2), keepdims=True), np.float32)
 
