@@ -33,7 +33,7 @@ from matcap.photo.photo import Photo
 # and a homography selects the consistent ones.
 
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
-Features = Callable[[ContrastNormalisation], "Keypoints"]  # of a photograph
+KeypointsOf = Callable[[ContrastNormalisation], "Keypoints"]  # of a photograph
 
 # Settings of detection and matching.
 LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
@@ -68,7 +68,7 @@ class Keypoints:
     """(n,) complex: the modulus is the size in image coordinates, the argument the orientation."""
 
 
-def match_photographs(first: Features, second: Features) -> tuple[Doubles, Doubles, float]:
+def match_photographs(first: KeypointsOf, second: KeypointsOf) -> tuple[Doubles, Doubles, float]:
     """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
     candidates = []
     for normalise in (normalise_contrast, equalise_histogram):
