@@ -59,7 +59,8 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
     spectrum = measured_spectrum(observed)
     predicted = scaled_to_spectrum(observed, predicted, spectrum)
     observed, predicted = classified(observed, predicted)  # dielectric, metal, or both
-    predicted = refine_maps(observed, predicted, spectrum)  # until they re-render to it
+    finest = rectified.network_input.size == rectified.whole.size  # they will not be enlarged
+    predicted = refine_maps(observed, predicted, spectrum, finest=finest)  # they re-render to it
 
     exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
     exemplar = refitted_to_highlight(exemplar, observed, predicted.metal)
