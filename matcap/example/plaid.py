@@ -24,6 +24,7 @@ _BLOCKS_ACROSS = 64  # of a plaid, across the longer side
 _BANDS, _VISIBLE = 0.14, 0.1
 _DARKEST = 1e-3  # albedo, lower limit of its logarithm
 _LEAST = 0.35  # least share of a side that the repeat of the bands has
+_OVERLAP = 8  # texels, least overlap of copies a repeat apart
 _THREADS = 2.0  # texels, standard deviation of the blur before bands are compared
 _RIDGE = 1e-3  # of the mean square of a term, that keeps what the drift leaves open small
 
@@ -52,7 +53,8 @@ def repeating_plaid(example: Example) -> Example:
     """A plaid's exemplar made straight and periodic, which repeats whole.
 
     What it is indexed from has the margin that places keep from borders (frame_of), periodically
-    continued, so that the frame whose opposite borders adjoin (Lookup.joined) is the repeat.
+    continued, so that the frame whose opposite borders adjoin (Lookup.joined) is the repeat. Where
+    straight maps are hardly longer than that, the exemplar repeats as it is.
     """
     exemplar, bits = example.exemplar, detail_bits(example.exemplar)
     part = example.index.part
@@ -65,6 +67,8 @@ def repeating_plaid(example: Example) -> Example:
         for planes in (bands, np.ascontiguousarray(bands.transpose(0, 2, 1)))
     )
     straight, along, below = sheared(maps, across, (right, under), example.alignment)
+    if straight.shape[2] < along + _OVERLAP or straight.shape[1] < below + _OVERLAP:
+        return example.varied(0.0)
     even = straight.copy()
     even[DIFFUSE] *= np.exp(-_drift(_log(straight[DIFFUSE]), along, below))
     np.clip(even[:-1], 0.0, 1.0, out=even[:-1])
@@ -96,10 +100,10 @@ def _drift(log: Floats, along: int, below: int) -> Floats:
         for planes, into in ((terms, known), (means, wanted)):
             moved = planes.swapaxes(axis, 2)
             into.append((moved[:, :, ahead] - moved[:, :, behind]).reshape(len(planes), -1))
-    steps, found = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
+    steps, rises = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
     gram = steps @ steps.T
     ridge = _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
-    amounts = np.linalg.solve(gram + ridge, steps @ found.T)
+    amounts = np.linalg.solve(gram + ridge, steps @ rises.T)
     drift = np.einsum("tc,thw->chw", amounts, _quadratic(log.shape[1:])[1:])
     return np.asarray(drift - drift.mean(axis=(1, 2), keepdims=True), np.float32)
 
