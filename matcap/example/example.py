@@ -322,8 +322,13 @@ def patch_sizes(example: Example) -> PatchSizes:
 
 def detail_bits(exemplar: Exemplar) -> int:
     """How many times an exemplar is halved to its grid of places."""
+    return halvings(max(exemplar.size))
+
+
+def halvings(longer: int) -> int:
+    """How many times an exemplar with this longer side is halved to its grid of places."""
     bits = 0
-    while max(exemplar.size) >> bits > _GRID:
+    while longer >> bits > _GRID:
         bits += 1
     return bits
 

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.example.candidates import FRAME_MARGIN, grid_bits, level_count
-from matcap.example.example import Example, detail_bits, known_part
+from matcap.example.candidates import FRAME_MARGIN, MOST_LEVELS, grid_bits, level_count
+from matcap.example.example import Example, detail_bits, halvings, known_part
 from matcap.example.exemplar import DIFFUSE, Exemplar, Floats
 from matcap.example.repeat import cut_and_joined
 from matcap.example.straighten import Planes, likest_shift, sheared
@@ -24,6 +24,7 @@ _BLOCKS_ACROSS = 64  # of a plaid, across the longer side
 _BANDS, _VISIBLE = 0.14, 0.1
 _DARKEST = 1e-3  # albedo, lower limit of its logarithm
 _LEAST = 0.35  # least share of a side that the repeat of the bands has
+_OVERLAP = 8  # texels, least overlap of copies a repeat apart
 _THREADS = 2.0  # texels, standard deviation of the blur before bands are compared
 _RIDGE = 1e-3  # of the mean square of a term, that keeps what the drift leaves open small
 
@@ -52,7 +53,8 @@ def repeating_plaid(example: Example) -> Example:
     """A plaid's exemplar made straight and periodic, which repeats whole.
 
     What it is indexed from has the margin that places keep from borders (frame_of), periodically
-    continued, so that the frame whose opposite borders adjoin (Lookup.joined) is the repeat.
+    continued, so that the frame whose opposite borders adjoin (Lookup.joined) is the repeat. Where
+    straight maps are hardly longer than that, the exemplar repeats as it is.
     """
     exemplar, bits = example.exemplar, detail_bits(example.exemplar)
     part = example.index.part
@@ -65,11 +67,13 @@ def repeating_plaid(example: Example) -> Example:
         for planes in (bands, np.ascontiguousarray(bands.transpose(0, 2, 1)))
     )
     straight, along, below = sheared(maps, across, (right, under), example.alignment)
+    if straight.shape[2] < along + _OVERLAP or straight.shape[1] < below + _OVERLAP:
+        return example.varied(0.0)
     even = straight.copy()
     even[DIFFUSE] *= np.exp(-_drift(_log(straight[DIFFUSE]), along, below))
     np.clip(even[:-1], 0.0, 1.0, out=even[:-1])
     tile, _ = cut_and_joined(even, exemplar.texel_size, along, below)
-    return Example.of_rounded(_continued(tile, exemplar.texel_size, bits)).varied(0.0)
+    return Example.of_rounded(_continued(tile, exemplar.texel_size)).varied(0.0)
 
 
 def _bands(albedo: Floats) -> Planes:
@@ -96,27 +100,35 @@ def _drift(log: Floats, along: int, below: int) -> Floats:
         for planes, into in ((terms, known), (means, wanted)):
             moved = planes.swapaxes(axis, 2)
             into.append((moved[:, :, ahead] - moved[:, :, behind]).reshape(len(planes), -1))
-    steps, sought = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
+    steps, rises = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
     gram = steps @ steps.T
     ridge = _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
-    amounts = np.linalg.solve(gram + ridge, steps @ sought.T)
+    amounts = np.linalg.solve(gram + ridge, steps @ rises.T)
     drift = np.einsum("tc,thw->chw", amounts, _quadratic(log.shape[1:])[1:])
     return np.asarray(drift - drift.mean(axis=(1, 2), keepdims=True), np.float32)
 
 
-def _continued(tile: Floats, texel_size: float, bits: int) -> Exemplar:
+def _continued(tile: Floats, texel_size: float) -> Exemplar:
     """A tile with the margin of the frame of places around it, rounded as in a file."""
-    high, wide = (side >> bits for side in tile.shape[1:])
-    for levels in range(level_count(wide, high) + 1, 0, -1):
-        margin = FRAME_MARGIN << levels - 1
-        # A line more than the repeat, which the first is compared with.
-        more = margin + (1 << grid_bits(levels - 1))
-        if level_count(wide + margin + more, high + margin + more) == levels:
-            break
-    rows, columns = (
-        np.arange(-margin << bits, (side + more) << bits) % (side << bits) for side in (high, wide)
-    )
+    before, after = _margins(tile.shape[2], tile.shape[1])
+    rows, columns = (np.arange(-before, side + after) % side for side in tile.shape[1:])
     return Exemplar.certain(tile[:, rows[:, None], columns], texel_size).rounded()
+
+
+def _margins(wide: int, high: int) -> tuple[int, int]:
+    """Texels before and after a tile's sides with which its frame is it, and a line more, with
+    which its first line is compared.
+    """
+    before = after = 0
+    # Fewer levels need less, as many as a larger exemplar has.
+    for bits in range(halvings(max(wide, high)) + 2):
+        for levels in range(1, MOST_LEVELS + 1):
+            before = FRAME_MARGIN << levels - 1 + bits
+            after = before + (1 << grid_bits(levels - 1) + bits)
+            sides = [side + before + after for side in (wide, high)]
+            if halvings(max(sides)) == bits and level_count(*(n >> bits for n in sides)) == levels:
+                return before, after
+    return before, after
 
 
 def detrended(planes: Planes) -> Planes:

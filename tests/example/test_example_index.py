@@ -16,21 +16,26 @@ from matcap.capture.exemplar.estimate import indexed
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.example.candidates import (
+    Frame,
     PatchSizes,
     choose_basis,
     choose_scale,
     features_of,
     find_candidates,
+    frame_of,
+    grid_bits,
+    level_count,
     planes_of,
     project,
 )
 from matcap.example.coordinates import correct
-from matcap.example.example import Example, summary
+from matcap.example.example import Example, halvings, summary
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 from matcap.example.index import prepare
 from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
-from matcap.example.variety import is_plaid, variety_trials, with_chosen_variety, with_least_steps
+from matcap.example.plaid import _margins, is_plaid
+from matcap.example.variety import variety_trials, with_chosen_variety, with_least_steps
 from matcap.field.material import Material
 from matcap.field.plane import Rectangle
 from matcap.flash.geometry import FlashSetup
@@ -386,6 +391,19 @@ def test_a_slanted_plaid_repeats_where_its_bands_do_without_a_drift():
         lines = field.mean(axis=axis)
         off = np.abs(lines[:, None] - lines.mean() - (tones - tones.mean())).min(axis=1)
         assert np.quantile(off, 0.9) < 0.06  # of 0.2 and more between tones, the drift's 0.3
+
+
+@pytest.mark.parametrize("size", [(96, 80), (704, 512), (1760, 1296), (3680, 2720)])
+def test_a_plaid_of_any_size_is_continued_so_that_its_frame_is_the_repeat(size):
+    before, after = _margins(*size)
+    whole = tuple(side + before + after for side in size)
+    bits = halvings(max(whole))
+    width, height = (side >> bits for side in whole)
+    depth = level_count(width, height) - 1
+    # A line more than the repeat, whose first it is compared with.
+    more = 1 << grid_bits(depth)
+    frame = frame_of(depth, Frame.of(width, height)).size
+    assert frame == tuple((side >> bits) + more for side in size)
 
 
 def test_a_cloth_of_uneven_threads_is_no_plaid():
