@@ -19,7 +19,7 @@ from matcap.capture.registration.camera import (
     camera_deviations,
 )
 from matcap.capture.registration.keypoints import (
-    Features,
+    KeypointsOf,
     find_keypoints,
     is_periodic,
     losses_of_sharpness,
@@ -140,7 +140,7 @@ def _distinct(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
 
 
 def _most_matched(
-    photos: Sequence[Photo], found: Registration, features: Mapping[int, Features]
+    photos: Sequence[Photo], found: Registration, features: Mapping[int, KeypointsOf]
 ) -> tuple[int, str]:
     """Index of the photograph with flash that most others match, and why; 0 if the first is it."""
     names = {one.name for one in found.left_out if one.few}
@@ -191,7 +191,7 @@ def _overlap(view: RegisteredView, views: Sequence[RegisteredView]) -> float:
 
 
 def register(
-    photos: Sequence[Photo], setup: FlashSetup, features: Mapping[int, Features] | None = None
+    photos: Sequence[Photo], setup: FlashSetup, features: Mapping[int, KeypointsOf] | None = None
 ) -> Registration:
     """Estimate the camera of every photograph in the first one's plane frame.
 
@@ -236,7 +236,7 @@ def register(
 
 
 def _matched(
-    features: Sequence[Features], photos: Sequence[Photo]
+    features: Sequence[KeypointsOf], photos: Sequence[Photo]
 ) -> tuple[dict[int, Pair], dict[int, str]]:
     """Matches of photographs with the first by index; reasons of those that have too few."""
     pairs, left_out = dict[int, Pair](), dict[int, str]()
