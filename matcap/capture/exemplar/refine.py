@@ -67,6 +67,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     ReliefSpectrum,
     filled,
     posterior_factors,
+    slope_energies,
     smoothed,
     split,
 )
@@ -512,7 +513,7 @@ def scaled_by_glints(
     scatter = _scatter(squares[1], matte) / math.sqrt(max(1.0, _CELLS**2 * float(region.mean())))
     glints = BandEnergies(relief, (glossy - dull).clip(0.0), scatter * np.hypot(glossy, dull))
     height = residuals.height[0].numpy()
-    others = [] if spectrum is None else [BandEnergies.of(height, spectrum)]
+    others = [] if spectrum is None else [BandEnergies.of(slope_energies(height), spectrum)]
     gains = np.sqrt(posterior_factors(glints, *others))
     *bands, rest = split(height)
     steep = sum((float(g) * band for g, band in zip(gains, bands, strict=True)), rest)
