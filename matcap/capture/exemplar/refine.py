@@ -71,6 +71,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     ReliefSpectrum,
     filled,
     posterior_factors,
+    slope_energies,
     smoothed,
     split,
 )
@@ -529,7 +530,7 @@ def scaled_by_glints(
     deviation = scatter * np.hypot(raw[0], share * raw[1])
     glints = BandEnergies(relief, (glossy - dull).clip(0.0), deviation)
     height = residuals.height[0].numpy()
-    others = [] if spectrum is None else [BandEnergies.of(height, spectrum)]
+    others = [] if spectrum is None else [BandEnergies.of(slope_energies(height), spectrum)]
     gains = np.sqrt(posterior_factors(glints, *others))
     *bands, rest = split(height)
     steep = sum((float(g) * band for g, band in zip(gains, bands, strict=True)), rest)

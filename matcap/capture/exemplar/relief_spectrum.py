@@ -478,7 +478,7 @@ def equalise(
         even = np.stack(list(pool.map(evened, bands)))
     wanted = slope_energies(height)
     if spectrum is not None:
-        wanted = wanted * posterior_factors(BandEnergies.of(height, spectrum))
+        wanted = wanted * posterior_factors(BandEnergies.of(wanted, spectrum))
     factors: Doubles = np.ones(len(even))
     for _ in range(_SCALINGS):
         here = slope_energies(_sum(factors, even))
@@ -598,10 +598,9 @@ class BandEnergies:
     """(bands,) standard deviations of `measured`."""
 
     @staticmethod
-    def of(height: Height, spectrum: ReliefSpectrum) -> BandEnergies:
-        """Squared slopes of a height (H, W) in texels, and those measured in the photograph."""
-        measured = np.square(spectrum.slope).sum(1)
-        return BandEnergies(slope_energies(height), measured, spectrum.deviation)
+    def of(predicted: Doubles, spectrum: ReliefSpectrum) -> BandEnergies:
+        """Of slope_energies(), and those measured in the photograph."""
+        return BandEnergies(predicted, np.square(spectrum.slope).sum(1), spectrum.deviation)
 
 
 def posterior_factors(*energies: BandEnergies) -> Doubles:
