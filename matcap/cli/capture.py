@@ -65,8 +65,8 @@ def capture(
         typer.Option(
             "--together",
             help="Make one material of all photographs: they show the same sample from several "
-            "places. It is made in the frame of the first photograph, or of a better one, and under "
-            "the first one's name.",
+            "places. It is made in the frame of the first photograph, or of a better one, and "
+            "under the first one's name.",
             rich_help_panel=SEVERAL,
         ),
     ] = False,
