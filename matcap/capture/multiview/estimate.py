@@ -77,12 +77,7 @@ _COARSE_SHARE = 0.4  # of the time
 
 @torch.no_grad()
 def estimate_multiview(
-    registration: Registration,
-    network: Inverse,
-    detail: int,
-    clock: CaptureClock,
-    *,
-    union: bool,
+    registration: Registration, network: Inverse, detail: int, clock: CaptureClock, *, union: bool
 ) -> tuple[Rectified, ExemplarEstimate]:
     """Estimate the exemplar of several photographs; an interrupt ends with the best result so far.
 
@@ -104,8 +99,10 @@ def estimate_multiview(
     cameras = PosedCamera.of(by_features.setup), alignment.views[0].camera
     alone = replace(spread, maps=reframed(spread.maps, *cameras, mosaic.extent))
     if mosaic.margins.any and clock.status is RunStatus.DONE:
-        several = alignment, alone, mosaic, coarse, partial(_predict_anew, network)
-        alone = _unless_interrupted(clock, alone, partial(predicted_beyond, *several))
+        several = partial(predicted_beyond, alignment, alone, mosaic, coarse)
+        own = partial(predict_alone, network=network, clock=CaptureClock(None))
+        beyond = partial(several, lambda plane, fit: own(plane, fit)[0])
+        alone = _unless_interrupted(clock, alone, beyond)
     begun = alignment, alone
     with clock.stage("solve"):
         if clock.status is RunStatus.DONE:
@@ -115,16 +112,13 @@ def estimate_multiview(
     with clock.stage("predict"):
         check = partial(leave_one_out, alignment, solved, begun[1], alone, by_features.light)
         checked = check() if clock.status is RunStatus.DONE else LeaveOneOut((), ())
-    first, report = (
-        alignment.views[0].photo,
-        SetReport.of(alignment, registration, solved, checked, mosaic),
-    )
+    first = alignment.views[0].photo
+    report = SetReport.of(alignment, registration, solved, checked, mosaic)
     rectified = Rectified.of(first, camera_only, detail)
     if report.kept_first is not None:
-        known = KnownMeans(absolute=first.flash_intensity is not None)
+        of_one = CaptureClock(None), KnownMeans(absolute=first.flash_intensity is not None)
         with clock.stage("inpaint"):  # its own stages are over
-            of_one = rectified, network, CaptureClock(None), known
-            result = estimate_exemplar(*of_one, turned=first.turned)
+            result = estimate_exemplar(rectified, network, *of_one, turned=first.turned)
         return rectified, replace(result, several=report)
     lit = replace(coarse, setup=solved.light.onto(alignment.setup))
     with clock.stage("inpaint"):
@@ -158,14 +152,13 @@ def fitted_first(
         with one_thread():
             coarse = fit_coarse(replace(first, fov=setup.fov), tilt=setup.tilt)
         coarse = rescale_to_flash(coarse, first.flash_intensity)
-        views = tuple(
-            replace(view, photo=view.photo.linearised(coarse.tone)) for view in registration.views
-        )
+        linear = (view.photo.linearised(coarse.tone) for view in registration.views)
+        of_views = zip(registration.views, linear, strict=True)
+        views = tuple(replace(view, photo=photo) for view, photo in of_views)
         # The registered camera replaces the coarse fit's.
         camera = replace(coarse.setup, fov=setup.fov, tilt=setup.tilt)
         plane = read_plane(without_ambient(views)[0].photo, camera, detail)
-        registration = replace(registration, views=views)
-    return registration, replace(coarse, setup=camera), plane
+    return replace(registration, views=views), replace(coarse, setup=camera), plane
 
 
 @torch.no_grad()
@@ -195,11 +188,6 @@ def _aligned(
     cameras = PosedCamera.of(by_features.setup), by_features.views[0].camera
     views = without_ambient(on_albedo(by_features.views, reframed(own, *cameras)))
     return aligned(replace(by_features, views=views), prediction, clock.callback("align"))
-
-
-def _predict_anew(network: Inverse, plane: Plane, fit: CoarseFit) -> Estimate:
-    """Prediction of another photograph of a mosaic."""
-    return predict_alone(plane, fit, network, CaptureClock(None))[0]
 
 
 def _solved(

@@ -17,6 +17,7 @@ from matcap.capture.multiview.texels import slopes_of
 from matcap.flash.least_squares import conjugate_gradients
 
 Floats = NDArray[np.float32]
+Changes = Sequence[Floats] | Floats  # (H, W) each
 
 # Settings of the integration of slopes to heights; docs/notes/several.md.
 _MODEL = 0.03  # standard deviation of slopes due to model errors: shadows, parallax, bend
@@ -131,11 +132,7 @@ class _Octave(NamedTuple):
 
 
 def denoised(
-    measured: Floats,
-    predicted: Floats,
-    changes: Sequence[Floats] | Floats,
-    *,
-    understated: float = 1.0,
+    measured: Floats, predicted: Floats, changes: Changes, *, understated: float = 1.0
 ) -> Floats:
     """(H, W) denoised map, each octave with its expected energy.
 
@@ -145,13 +142,12 @@ def denoised(
         changes: (H, W) each, change of `measured` when one photograph is left out.
         understated: variance of noise below 4 texels over what these changes say.
     """
-    octaves = _octaves(measured, predicted, changes, understated)
-    bands = [octave.posterior for octave in octaves]
-    return np.asarray(np.sum(bands, axis=0), np.float32)
+    bands = (octave.posterior for octave in _octaves(measured, predicted, changes, understated))
+    return np.asarray(sum(bands), np.float32)
 
 
 def prediction_error(
-    measured: Floats, predicted: Floats, changes: Sequence[Floats] | Floats
+    measured: Floats, predicted: Floats, changes: Changes
 ) -> tuple[float, NDArray[np.float64]]:
     """Error variance of the prediction, and expected energies of the octaves above 4 texels.
 
@@ -183,10 +179,7 @@ def with_energies(height: Floats, texel_size: float, energies: Sequence[float]) 
 
 
 def _octaves(
-    measured: Floats,
-    predicted: Floats,
-    changes: Sequence[Floats] | Floats,
-    understated: float = 1.0,
+    measured: Floats, predicted: Floats, changes: Changes, understated: float = 1.0
 ) -> Iterator[_Octave]:
     """Octave bands of both maps and the low-pass remainder, with estimates of g and T."""
     # (n - 1) / n of the jackknife, but not 0 for one photograph
