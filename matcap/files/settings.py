@@ -147,7 +147,7 @@ def region(text: str | Rectangle) -> Rectangle:
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"'{text}' is not a rectangle such as -100,0,512,512") from None
+        raise ValueError(f"'{text}' is not a rectangle such as 100,0,512,512") from None
     if width < 1 or height < 1:
         raise ValueError(f"'{text}' has a side of zero or less")
     if max(abs(x), abs(y), abs(x + width), abs(y + height)) > COORDINATE_LIMIT:
