@@ -89,8 +89,10 @@ class PosedCamera:
             up: height of the picture over its width.
             steepest: largest angle of a ray to the plane's normal, degrees.
         """
-        away = self.place.reshape(3, 1, 1) - points
-        upright = away[2] > math.cos(math.radians(steepest)) * np.sqrt(np.square(away).sum(0))
+        to_camera = self.place.reshape(3, 1, 1) - points
+        upright = to_camera[2] > math.cos(math.radians(steepest)) * np.sqrt(
+            np.square(to_camera).sum(0)
+        )
         u, v = self.sees(points)
         # Far outside of the picture, the lens's polynomial can map points back into it.
         near = np.abs(replace(self, lens=Lens(self.lens.focal)).sees(points)).max(0) < 1.5

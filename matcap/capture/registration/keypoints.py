@@ -33,7 +33,7 @@ from matcap.photo.photo import Photo
 # and a homography selects the consistent ones.
 
 ContrastNormalisation = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
-KeypointsOf = Callable[[ContrastNormalisation], "Keypoints"]  # of a photograph
+KeypointsBy = Callable[[ContrastNormalisation], "Keypoints"]  # of a photograph
 
 # Settings of detection and matching.
 LONG_SIDE = 1600  # pixels along the long side of the downsampled photograph
@@ -68,7 +68,7 @@ class Keypoints:
     """(n,) complex: the modulus is the size in image coordinates, the argument the orientation."""
 
 
-def match_photographs(first: KeypointsOf, second: KeypointsOf) -> tuple[Doubles, Doubles, float]:
+def match_photographs(first: KeypointsBy, second: KeypointsBy) -> tuple[Doubles, Doubles, float]:
     """(2, n) image coordinates of inlier matches in both, and a pixel's size in the second."""
     candidates = []
     for normalise in (normalise_contrast, equalise_histogram):
@@ -322,12 +322,12 @@ def shares_in_shadow(seen: Sequence[tuple[Photo, PosedCamera]]) -> list[float]:
     points, logs, mirroring = grid_points(*size), [], []
     for photo, camera in seen:
         log, inside = log_on_grid(photo, camera, size, _CELLS, 1e-4, cv2.INTER_LINEAR)
-        away = camera.place[:, None, None] - points
+        to_camera = camera.place[:, None, None] - points
         squared = np.square(camera.sees(points)).sum(0) / CORNER_SQUARED
-        matte = np.log(away[2]) - 1.5 * np.log(np.square(away).sum(0))
+        matte = np.log(to_camera[2]) - 1.5 * np.log(np.square(to_camera).sum(0))
         matte -= _FALLOFF[0] * squared + _FALLOFF[1] * np.square(squared)
         logs.append(np.where(inside, log - matte, np.nan))
-        mirroring.append(np.hypot(*away[:2]) < _MIRRORS * camera.place[2])
+        mirroring.append(np.hypot(*to_camera[:2]) < _MIRRORS * camera.place[2])
     shares = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # places that no other photograph shows

@@ -19,7 +19,7 @@ from matcap.capture.registration.camera import (
     camera_deviations,
 )
 from matcap.capture.registration.keypoints import (
-    KeypointsOf,
+    KeypointsBy,
     find_keypoints,
     is_periodic,
     losses_of_sharpness,
@@ -115,16 +115,16 @@ def register_in_any_order(photos: Sequence[Photo]) -> Registration:
     """
     photos, copies = _distinct(flash_first(photos))
     features = {id(photo): cache(partial(find_keypoints, photo)) for photo in photos}
-    given, found = photos[0].name, register(photos, FlashSetup(fov=photos[0].fov), features)
+    given, registered = photos[0].name, register(photos, FlashSetup(fov=photos[0].fov), features)
     for better_of in (partial(_most_matched, features=features), _best_shown):
-        better, why = better_of(photos, found)
+        better, why = better_of(photos, registered)
         if better:
             photos = [photos[better], *photos[:better], *photos[better + 1 :]]
-            found = register(photos, FlashSetup(fov=photos[0].fov), features)
+            registered = register(photos, FlashSetup(fov=photos[0].fov), features)
             why = f"The maps are those of what {photos[0].name} shows, not {given}: {why}."
         if why:
-            found = replace(found, frame=why)
-    return replace(found, left_out=(*found.left_out, *copies))
+            registered = replace(registered, frame=why)
+    return replace(registered, left_out=(*registered.left_out, *copies))
 
 
 def _distinct(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
@@ -140,14 +140,14 @@ def _distinct(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
 
 
 def _most_matched(
-    photos: Sequence[Photo], found: Registration, features: Mapping[int, KeypointsOf]
+    photos: Sequence[Photo], registered: Registration, features: Mapping[int, KeypointsBy]
 ) -> tuple[int, str]:
     """Index of the photograph with flash that most others match, and why; 0 if the first is it."""
-    names = {one.name for one in found.left_out if one.few}
-    apart = [number for number, photo in enumerate(photos) if photo.name in names]
+    names = {one.name for one in registered.left_out if one.few}
+    unmatched = [number for number, photo in enumerate(photos) if photo.name in names]
     dark, near = without_flash(photos), np.ones((len(photos),) * 2, bool)
     for one, other in combinations(range(len(photos)), 2):
-        if one in apart or other in apart:
+        if one in unmatched or other in unmatched:
             places, _, _ = match_photographs(*(features[id(photos[n])] for n in (one, other)))
             near[one, other] = near[other, one] = one > 0 and places.shape[1] >= MATCHES
     matching = near.sum(1) - 1
@@ -156,21 +156,21 @@ def _most_matched(
     return best, f"{matching[best]} others match it, {matching[0]} the first" if best else ""
 
 
-def _best_shown(photos: Sequence[Photo], found: Registration) -> tuple[int, str]:
+def _best_shown(photos: Sequence[Photo], registered: Registration) -> tuple[int, str]:
     """Index of the photograph that had better define the frame, and why; 0 if it is the first.
 
     Why is also said where the first is blurred or in shadow, and no other is better.
     """
-    views = [view for view in found.views if view.flash]
+    views = [view for view in registered.views if view.flash]
     if len(views) < 2:
         return 0, ""
     shaded = np.array(shares_in_shadow([(view.photo, view.camera) for view in views]))
     bad = shaded > SHADED
-    bad[0] |= found.blurred
+    bad[0] |= registered.blurred
     overlap = np.array([_overlap(view, views) for view in views])
     best = int(np.argmax(overlap - bad))
     if bad[0]:
-        why = "that is blurred" if found.blurred else f"{shaded[0]:.0%} of that is in shadow"
+        why = "that is blurred" if registered.blurred else f"{shaded[0]:.0%} of that is in shadow"
         return best, why if best else f"{shaded[0]:.0%} of {views[0].photo.name} is in shadow."
     if overlap[0] > _LEAST_OVERLAP * overlap[best]:
         return 0, ""
@@ -191,7 +191,7 @@ def _overlap(view: RegisteredView, views: Sequence[RegisteredView]) -> float:
 
 
 def register(
-    photos: Sequence[Photo], setup: FlashSetup, features: Mapping[int, KeypointsOf] | None = None
+    photos: Sequence[Photo], setup: FlashSetup, features: Mapping[int, KeypointsBy] | None = None
 ) -> Registration:
     """Estimate the camera of every photograph in the first one's plane frame.
 
@@ -236,7 +236,7 @@ def register(
 
 
 def _matched(
-    features: Sequence[KeypointsOf], photos: Sequence[Photo]
+    features: Sequence[KeypointsBy], photos: Sequence[Photo]
 ) -> tuple[dict[int, Pair], dict[int, str]]:
     """Matches of photographs with the first by index; reasons of those that have too few."""
     pairs, left_out = dict[int, Pair](), dict[int, str]()
@@ -311,7 +311,7 @@ class _Fitted:
         if wrong:
             return max(wrong)[1:]
         loss, index = max(((loss, n) for n, loss in self.losses.items() if n), default=(0.0, 0))
-        why = f"it is blurred: its finest detail is {100 * math.exp(-loss):.0f} % of the others'"
+        why = f"it is blurred: its finest detail is {math.exp(-loss):.0%} of the others'"
         return (index, why) if loss > _BLURRED else None
 
     def views(
