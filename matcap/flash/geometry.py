@@ -165,10 +165,9 @@ class Extent:
 
     def placed(self, points: Tensor) -> Tensor:
         """Map plane points (3, ...) of a grid over OWN to this rectangle."""
-        if self == OWN:
-            return points
         middle = torch.tensor([*self.middle, 0.0], dtype=points.dtype)
-        return self.half * points + middle.reshape(3, *(1,) * (points.ndim - 1))
+        middle = middle.reshape(3, *(1,) * (points.ndim - 1))
+        return points if self == OWN else self.half * points + middle
 
 
 OWN = Extent()

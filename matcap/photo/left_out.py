@@ -233,17 +233,13 @@ def _only(photo: Photo, share: NDArray[np.float32], what: str, where: str) -> Ph
             "paint the material white (or leave it opaque), and only the rest black",
         )
     places = mirrored(left_out)
-
-    def filled(planes: NDArray[Any]) -> NDArray[Any]:
-        whole = planes.copy()
-        whole[left_out] = planes[places]
-        return whole
-
+    every = ((name, getattr(photo, name)) for name in ("pixels", "clipped", "noise"))
+    changed = {name: planes.copy() for name, planes in every if planes is not None}
+    for planes in changed.values():
+        planes[left_out] = planes[places]
     return replace(
         photo,
-        pixels=filled(photo.pixels),
-        clipped=filled(photo.clipped),
-        noise=None if photo.noise is None else filled(photo.noise),
+        **changed,
         stored_clipped_share=None,
         left_out=left_out,
         notes=(*photo.notes, f"{100 * left_out.mean():.0f} % of the photograph is left out."),
@@ -326,9 +322,8 @@ def mirrored(left_out: Kept) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         left_out.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     y, x = np.nonzero(left_out)
-    kept = ~left_out
     nearest = np.zeros(int(labels.max()) + 1, np.int64)
-    nearest[labels[kept]] = np.flatnonzero(kept)
+    nearest[labels[~left_out]] = np.flatnonzero(~left_out)
     near_y, near_x = np.divmod(nearest[labels[left_out]], columns)
     distance = np.hypot(near_y - y, near_x - x)
     reach = max(1.0, _FOLDED * min(rows, columns))

@@ -130,12 +130,9 @@ _BRIGHTENING = 0.02  # prior deviation of negative falloff, which ambient light 
 # Albedo of a white surface, and prior deviation of the logarithm beyond it.
 WHITE, _WHITER = 0.8, 0.1
 # Bounds of the parameters, and the prior's deviation beyond them.
-_FREE = Unknowns.of(torch.full((17,), math.inf, dtype=torch.float64))
-_LEAST = replace(Unknowns.of(-_FREE.vector()), vignetting=numbers(0.0, 0.0)).vector()
-_MOST = replace(_FREE, albedo=numbers(*[math.log(WHITE)] * 3)).vector()
-_BEYOND = replace(
-    _FREE, albedo=numbers(*[_WHITER] * 3), vignetting=numbers(*[_BRIGHTENING] * 2)
-).vector()
+_LEAST, _MOST, _BEYOND = numbers(-math.inf, math.inf, math.inf)[:, None].repeat(1, 17)
+_LEAST[INDEX.vignetting], _BEYOND[INDEX.vignetting] = 0.0, _BRIGHTENING
+_MOST[INDEX.albedo], _BEYOND[INDEX.albedo] = math.log(WHITE), _WHITER
 _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of channels
 _MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
 _LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
