@@ -219,7 +219,7 @@ def _subject(photo: Photo, tiles: Values, falloff: float) -> Finding:
         )
         why, do = "no photograph of a material has as many", original
     elif equal > _EQUAL and dark.mean() > _BLACK:
-        what = f"{dark.mean():.0%} of the picture is black, in ten of 255 levels"
+        what = f"{100 * dark.mean():.0f} % of the picture is black, in ten of 255 levels"
         why, do = "too short an exposure", f"photograph brighter or from nearer, {square}"
     elif (
         falloff < CHECKS["flash"].limits[2]

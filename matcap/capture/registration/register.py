@@ -170,11 +170,21 @@ def _best_shown(photos: Sequence[Photo], registered: Registration) -> tuple[int,
     overlap = np.array([_overlap(view, views) for view in views])
     best = int(np.argmax(overlap - bad))
     if bad[0]:
-        why = "that is blurred" if registered.blurred else f"{shaded[0]:.0%} of that is in shadow"
-        return best, why if best else f"{shaded[0]:.0%} of {views[0].photo.name} is in shadow."
+        why = (
+            "that is blurred"
+            if registered.blurred
+            else f"{100 * shaded[0]:.0f} % of that is in shadow"
+        )
+        return (
+            best,
+            why if best else f"{100 * shaded[0]:.0f} % of {views[0].photo.name} is in shadow.",
+        )
     if overlap[0] > _LEAST_OVERLAP * overlap[best]:
         return 0, ""
-    return best, f"the others show {overlap[best]:.0%} of it, and {overlap[0]:.0%} of the first"
+    return (
+        best,
+        f"the others show {100 * overlap[best]:.0f} % of it, and {100 * overlap[0]:.0f} % of the first",
+    )
 
 
 def _overlap(view: RegisteredView, views: Sequence[RegisteredView]) -> float:
@@ -311,7 +321,7 @@ class _Fitted:
         if wrong:
             return max(wrong)[1:]
         loss, index = max(((loss, n) for n, loss in self.losses.items() if n), default=(0.0, 0))
-        why = f"it is blurred: its finest detail is {math.exp(-loss):.0%} of the others'"
+        why = f"it is blurred: its finest detail is {100 * math.exp(-loss):.0f} % of the others'"
         return (index, why) if loss > _BLURRED else None
 
     def views(
