@@ -170,21 +170,14 @@ def _best_shown(photos: Sequence[Photo], registered: Registration) -> tuple[int,
     overlap = np.array([_overlap(view, views) for view in views])
     best = int(np.argmax(overlap - bad))
     if bad[0]:
-        why = (
-            "that is blurred"
-            if registered.blurred
-            else f"{100 * shaded[0]:.0f} % of that is in shadow"
-        )
-        return (
-            best,
-            why if best else f"{100 * shaded[0]:.0f} % of {views[0].photo.name} is in shadow.",
-        )
+        shadow = f"{100 * shaded[0]:.0f} % of {{}} is in shadow"
+        if not best:
+            return 0, shadow.format(views[0].photo.name) + "."
+        return best, "that is blurred" if registered.blurred else shadow.format("that")
     if overlap[0] > _LEAST_OVERLAP * overlap[best]:
         return 0, ""
-    return (
-        best,
-        f"the others show {100 * overlap[best]:.0f} % of it, and {100 * overlap[0]:.0f} % of the first",
-    )
+    first, other = (f"{100 * overlap[number]:.0f} %" for number in (0, best))
+    return best, f"the others show {other} of it, and {first} of the first"
 
 
 def _overlap(view: RegisteredView, views: Sequence[RegisteredView]) -> float:
