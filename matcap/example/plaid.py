@@ -36,7 +36,7 @@ def is_plaid(example: Example) -> bool:
     of b, is at least _BANDS of its variance: single threads are narrower. A lattice of cells as
     large as blocks (gingham, tiles) is kept in phase instead.
     """
-    albedo, lattice = example.exemplar.diffuse, example.index.lattice
+    albedo, lattice = _shown(example)[DIFFUSE], example.index.lattice
     waves = () if lattice is None else lattice.waves
     side = max(2, max(albedo.shape) // _BLOCKS_ACROSS)
     rows, columns = (n // side for n in albedo.shape[1:])
@@ -56,11 +56,7 @@ def repeating_plaid(example: Example) -> Example:
     continued, so that the frame whose opposite borders adjoin (Lookup.joined) is the repeat. Where
     straight maps are hardly longer than that, the exemplar repeats as it is.
     """
-    exemplar, bits = example.exemplar, detail_bits(example.exemplar)
-    part = example.index.part
-    box = known_part(exemplar, 1 << bits, part and part.enlarged(bits))
-    rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
-    maps = exemplar.stacked()[:, rows, columns]
+    exemplar, maps = example.exemplar, _shown(example)
     bands = _bands(maps[DIFFUSE])
     across, (under, right) = (
         likest_shift(planes, _LEAST)
@@ -74,6 +70,14 @@ def repeating_plaid(example: Example) -> Example:
     np.clip(even[:-1], 0.0, 1.0, out=even[:-1])
     tile, _ = cut_and_joined(even, exemplar.texel_size, along, below)
     return Example.of_rounded(_continued(tile, exemplar.texel_size)).varied(0.0)
+
+
+def _shown(example: Example) -> Floats:
+    """(6 or 8, h, w) stacked maps of the part that fields show."""
+    exemplar, bits, part = example.exemplar, detail_bits(example.exemplar), example.index.part
+    box = known_part(exemplar, 1 << bits, part and part.enlarged(bits))
+    rows, columns = slice(box.y, box.y + box.height), slice(box.x, box.x + box.width)
+    return exemplar.stacked()[:, rows, columns]
 
 
 def _bands(albedo: Floats) -> Planes:
