@@ -154,8 +154,10 @@ def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> Non
         2.0 / WIDTH,
     )  # fmt: skip
     picture = render_flash(flat, grey, points)
+    largest = max(fit.diffuse)  # signed_albedo, solved for the unknown
+    unsigned = ((value + 0.1 * largest) / 1.1 for value in fit.diffuse)
     parameters = (
-        *(math.log(value) for value in (*fit.diffuse, 0.04)), math.log(0.37 / 0.63),
+        *(math.log(value) for value in (*unsigned, 0.04)), math.log(0.37 / 0.63),
         math.log(6.0), 0.0, 0.0,
         *grey.offset[:2], *grey.tilt, grey.vignetting, grey.vignetting_quartic,
         *grey.vignetting_centre, 0.0,
