@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from photographed import Photographed, even, in_8_bits, photographed
+from photographed import SETUP, Photographed, even, in_8_bits, photographed, whole_plane
 
 from matcap.brdf.cook_torrance import SurfaceParameters
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import estimate_exemplar
+from matcap.capture.exemplar.glints import without_glints
 from matcap.capture.exemplar.network.network import ExpectedErrors, load_inverse
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.exemplar.refine import (
@@ -37,6 +38,7 @@ from matcap.capture.rectified import (
 from matcap.capture.settings import CaptureClock
 from matcap.example.exemplar import Exemplar
 from matcap.files.color import srgb_decode
+from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.light import render_flash
 from matcap.flash.rectify import plane_of
 from matcap.photo.photo import ToneCurve
@@ -430,3 +432,56 @@ def test_glints_of_black_gloss_are_no_albedo():
         assert float(after[:, lobe & used].std()) == pytest.approx(0.2, rel=0.15)
         assert float(after[:, ~lobe & used].std()) == pytest.approx(0.2, rel=0.1)
         assert float(after[:, used].mean()) == pytest.approx(0.5, abs=0.03)
+
+
+# White glints of coloured materials are no albedo.
+
+
+WOOD = (0.2, 0.08, 0.03)
+
+
+def _wood(albedo: tuple[float, float, float] = WOOD) -> tuple[torch.Tensor, CoarseFit]:
+    """A photograph of flat wood, its grain a log contrast of 0.2, and what it was fitted by."""
+    shot = photographed(0.0001, 0.2)
+    uniform = CoarseFit(albedo, 0.04, 0.4, SETUP, residual=0.0)
+    tone = shot.maps.diffuse[:1] / shot.uniform.diffuse[0]
+    maps = replace(
+        shot.maps,
+        diffuse=torch.tensor(albedo)[:, None, None] * tone,
+        roughness=torch.full_like(shot.maps.roughness, 0.4),
+    )
+    return render_flash(maps, SETUP, shot.points), uniform
+
+
+def _dashes(light: torch.Tensor) -> torch.Tensor:
+    """(H, W) bool: dashes along a streak through the highlight, 6 % of it."""
+    where = torch.zeros(light.shape[-2:], dtype=torch.bool)
+    for row in range(20, 364, 6):
+        column = 240 + (7 * row) % 50
+        where[row : row + 2, column : column + 10] = True
+    return where
+
+
+def test_glints_along_a_streak_are_taken_off_and_nothing_else() -> None:
+    light, uniform = _wood()
+    where = _dashes(light)
+    bright = light + where * light.mean()
+    found = without_glints(whole_plane(bright), uniform).linear
+    left = (found - light)[:, where].abs().mean() / (bright - light)[:, where].abs().mean()
+    assert left < 0.5
+    assert torch.equal(found[:, ~where], light[:, ~where])
+
+
+def test_a_white_mark_of_wood_stays() -> None:
+    light, uniform = _wood()
+    where = torch.zeros(light.shape[-2:], dtype=torch.bool)
+    where[300:304, 60:66] = True
+    marked = torch.where(where, 5.0 * light[2:].expand_as(light), light)
+    assert torch.equal(without_glints(whole_plane(marked), uniform).linear, marked)
+
+
+@pytest.mark.parametrize("conductor", [False, True])
+def test_grey_and_metal_are_unchanged(conductor: bool) -> None:
+    light, uniform = _wood(WOOD if conductor else (0.1, 0.1, 0.09))
+    plane = whole_plane(light + _dashes(light) * light.mean())
+    assert without_glints(plane, replace(uniform, conductor=conductor)) is plane
