@@ -118,6 +118,8 @@ def resized_height(height: HeightPlane, size: tuple[int, int]) -> HeightPlane:
     shape = size[1], size[0]
     if height.shape == shape:
         return height
+    if min(*height.shape, *shape) < 2:  # a line has no central differences
+        return _area_mean(height, shape)
     if shape[1] > height.shape[1]:
         return spline_enlarged(height, size)
     mean = _area_mean(height, shape)

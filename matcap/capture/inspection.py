@@ -162,11 +162,11 @@ def coverage_of_files(paths: Sequence[Path], fov: float | None = None) -> Inspec
     """Register the photographs of a set and check its coverage.
 
     Args:
-        paths: two or more; the first defines the frame.
+        paths: two or more; the first defines the frame, or a better one (register_in_any_order).
         fov: field of view along the long side, degrees; None for that of the metadata.
 
     Raises:
-        MatcapError: one cannot be read, nothing can be fitted to the first, or it has no flash.
+        MatcapError: one cannot be read, or the first has no flash.
     """
     if len(paths) < 2:
         raise MatcapError.at(
@@ -200,7 +200,9 @@ def _belonging(registration: Registration) -> Finding:
     first, last, alone = views[0].photo.name, views[-1], len(views) < 2
     says = [f"{len(views)} photographs show the same sample."]
     if alone:
-        says = [f"No other photograph shows the same sample as {first}."]
+        strange = any(one.unmatched is not None for one in out)
+        why = "shows the same sample as" if strange else "can be used with"
+        says = [f"No other photograph {why} {first}."]
     if not last.flash:
         known = all(view.photo.exposure is not None for view in views)
         also = " and is subtracted from the others" if known else ""

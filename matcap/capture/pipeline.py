@@ -204,6 +204,10 @@ def capture_photo(
         latent = _latent(rectified, settings)
         return replace(result, material=replace(result.material, latent=latent))
     rectified, estimate = _estimated([photo, *others], settings, method, clock)
+    # The first given has the notes of all, whichever defines the frame.
+    given = {note for one in (photo, *others) for note in one.notes}
+    notes = *photo.notes, *(note for note in rectified.photo.notes if note not in given)
+    rectified = replace(rectified, photo=replace(rectified.photo, notes=notes))
     several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
         name=photo.stem,
@@ -254,7 +258,7 @@ def _estimated(
 
 
 def _latent(rectified: Rectified, settings: CaptureSettings) -> Latent:
-    """The photograph's position in the prior's space; of several, the first one's."""
+    """Position in the prior's space of the photograph, of several that of the frame's."""
     from matcap.space.prior.store import load_prior
 
     named = settings.prior not in ("auto", "none")

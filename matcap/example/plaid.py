@@ -69,7 +69,8 @@ def repeating_plaid(example: Example) -> Example:
     even[DIFFUSE] *= np.exp(-_drift(_log(straight[DIFFUSE]), along, below))
     np.clip(even[:-1], 0.0, 1.0, out=even[:-1])
     tile, _ = cut_and_joined(even, exemplar.texel_size, along, below)
-    return Example.of_rounded(_continued(tile, exemplar.texel_size)).varied(0.0)
+    repeat, one_light = _continued(tile, exemplar.texel_size), example.index.rule > 1
+    return Example.of_rounded(repeat, one_light=one_light).varied(0.0)
 
 
 def _shown(example: Example) -> Floats:
@@ -106,6 +107,8 @@ def _drift(log: Floats, along: int, below: int) -> Floats:
             into.append((moved[:, :, ahead] - moved[:, :, behind]).reshape(len(planes), -1))
     steps, rises = np.concatenate(known, axis=1), np.concatenate(wanted, axis=1)
     gram = steps @ steps.T
+    if not gram.any():  # overlaps narrower than a square
+        return np.zeros_like(log)
     ridge = _RIDGE * float(np.trace(gram)) / len(gram) * np.eye(len(gram))
     amounts = np.linalg.solve(gram + ridge, steps @ rises.T)
     drift = np.einsum("tc,thw->chw", amounts, _quadratic(log.shape[1:])[1:])

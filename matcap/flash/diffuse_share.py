@@ -219,7 +219,7 @@ def blur(picture: Floats, deviation: float) -> Floats:
 
 
 def _wide_blur(picture: Floats, deviation: float) -> Floats:
-    """_blur of a large deviation, on a grid of 4 x 4 pixels."""
+    """`blur` of a large deviation, on a grid of 4 x 4 pixels."""
     height, width = picture.shape[:2]
     small = area_averaged(picture, (max(1, width // 4), max(1, height // 4)))
     blurred = cv2.resize(blur(small, deviation / 4.0), (width, height))

@@ -67,7 +67,7 @@ def without_glints(plane: Plane, uniform: CoarseFit) -> Plane:
     kept = 1.0 - _FEW * _RARE / np.maximum(share, np.float32(_RARE))
     glint = (beyond * scale * kept.clip(0.0, 1.0)).clip(0.0)
     linear = plane.linear - torch.from_numpy(np.asarray(glint, np.float32)) * white
-    return replace(plane, linear=torch.where(linear > 0.0, linear, plane.linear))
+    return replace(plane, linear=torch.where((linear > 0.0).all(0), linear, plane.linear))
 
 
 def _bound(

@@ -215,6 +215,8 @@ class RingTarget:
     """Specular tint of each class, F0 over its channel mean: (3, 1, 1) or one number."""
     limit: float = 1.0
     """Radiance at which the photograph clips; resampling may exceed it."""
+    toe: float = 0.0
+    """Share of a ring's brightest channel that is added before logarithms."""
 
     @staticmethod
     def of(
@@ -236,6 +238,8 @@ class RingTarget:
             surface=observed.light.uniform + residuals,
             tints=tuple(observed.light.tint if each else 1.0 for each in metal),
             limit=observed.plane.encoding.limit,
+            # As in the coarse fit: a developed channel near 0 may be clipped by the colour space.
+            toe=CRUSHED if observed.plane.noise is None else 0.0,
         )
 
     def thinned(self, texels: int) -> RingTarget:
@@ -352,8 +356,7 @@ class _RingFit:
         self._rings = _Rings(target, shares)
         self._incidence = target.flash.onto(target.normal)
         means = self._rings.means(target.linear.clamp_max(target.limit))
-        # As in the coarse fit: a channel near 0 may be clipped by the colour space.
-        self._toe = DARKEST + CRUSHED * means.amax(1, keepdim=True)
+        self._toe = DARKEST + target.toe * means.amax(1, keepdim=True)
         self._observed = (means + self._toe).log().flatten()
         self._counts = self._rings.counts.flatten() / _NOISE**2
         clipped = self._rings.means((~target.measured).float()).flatten()

@@ -63,8 +63,8 @@ class LeftOut:
     """Name of its file."""
     why: str
     """Reason, as the end of a sentence."""
-    few: bool = False
-    """Whether the reason is that few of its features match."""
+    unmatched: int | None = None
+    """Its index, if the reason is that few of its features match the first one's."""
 
 
 @dataclass(frozen=True)
@@ -115,15 +115,18 @@ def register_in_any_order(photos: Sequence[Photo]) -> Registration:
     """
     photos, copies = _distinct(flash_first(photos))
     features = {id(photo): cache(partial(find_keypoints, photo)) for photo in photos}
-    given, registered = photos[0].name, register(photos, FlashSetup(fov=photos[0].fov), features)
+    registered, reasons = register(photos, FlashSetup(fov=photos[0].fov), features), []
     for better_of in (partial(_most_matched, features=features), _best_shown):
         better, why = better_of(photos, registered)
         if better:
-            photos = [photos[better], *photos[:better], *photos[better + 1 :]]
-            registered = register(photos, FlashSetup(fov=photos[0].fov), features)
-            why = f"The maps are those of what {photos[0].name} shows, not {given}: {why}."
-        if why:
-            registered = replace(registered, frame=why)
+            order = [photos[better], *photos[:better], *photos[better + 1 :]]
+            moved = register(order, FlashSetup(fov=order[0].fov), features)
+            if len(moved.views) < len(registered.views) and not registered.blurred:
+                continue
+            why = f"The maps show what {order[0].name} shows, not {photos[0].name}: {why}."
+            photos, registered = order, moved
+        reasons += [why] if why else []
+    registered = replace(registered, frame=" ".join(reasons) or None)
     return replace(registered, left_out=(*registered.left_out, *copies))
 
 
@@ -142,18 +145,34 @@ def _distinct(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
 def _most_matched(
     photos: Sequence[Photo], registered: Registration, features: Mapping[int, KeypointsBy]
 ) -> tuple[int, str]:
-    """Index of the photograph with flash that most others match, and why; 0 if the first is it."""
-    names = {one.name for one in registered.left_out if one.few}
-    unmatched = [number for number, photo in enumerate(photos) if photo.name in names]
-    dark, near = without_flash(photos), np.ones((len(photos),) * 2, bool)
-    for one, other in combinations(range(len(photos)), 2):
-        if one in unmatched or other in unmatched:
-            places, _, _ = match_photographs(*(features[id(photos[n])] for n in (one, other)))
-            near[one, other] = near[other, one] = one > 0 and places.shape[1] >= MATCHES
-    matching = near.sum(1) - 1
+    """Index of the photograph with flash that most others match, and why; 0 if the first is it.
+
+    Two that match the first count as matching each other until one of them is the best.
+    """
+    unmatched = {one.unmatched for one in registered.left_out if one.unmatched is not None}
+    dark, numbers = without_flash(photos), range(len(photos))
+
+    @cache
+    def matches(one: int, other: int) -> bool:
+        if not min(one, other):
+            return max(one, other) not in unmatched
+        places, _, _ = match_photographs(*(features[id(photos[n])] for n in (one, other)))
+        return places.shape[1] >= MATCHES
+
+    near = np.zeros((len(photos),) * 2, bool)
+    for one, other in combinations(numbers, 2):
+        known = one and not {one, other} & unmatched
+        near[one, other] = near[other, one] = known or matches(one, other)
+    matching = near.sum(1)
     matching[list(dark)] = 0
-    best = int(matching.argmax())
-    return best, f"{matching[best]} others match it, {matching[0]} the first" if best else ""
+    best, first = int(matching.argmax()), int(matching[0])
+    count = sum(matches(*sorted((best, other))) for other in numbers if other != best)
+    if not best or count <= first:
+        return 0, ""
+    return (
+        best,
+        f"{count} {'other matches' if count == 1 else 'others match'} it, {first} the first",
+    )
 
 
 def _best_shown(photos: Sequence[Photo], registered: Registration) -> tuple[int, str]:
@@ -169,15 +188,20 @@ def _best_shown(photos: Sequence[Photo], registered: Registration) -> tuple[int,
     bad[0] |= registered.blurred
     overlap = np.array([_overlap(view, views) for view in views])
     best = int(np.argmax(overlap - bad))
+    place = next(n for n, photo in enumerate(photos) if photo is views[best].photo)
     if bad[0]:
-        shadow = f"{100 * shaded[0]:.0f} % of {{}} is in shadow"
-        if not best:
-            return 0, shadow.format(views[0].photo.name) + "."
-        return best, "that is blurred" if registered.blurred else shadow.format("that")
+        why = (
+            "{} is blurred"
+            if registered.blurred
+            else f"{100 * shaded[0]:.0f} % of {{}} is in shadow"
+        )
+        if bad[best]:
+            return 0, why.format(views[0].photo.name) + "."
+        return place, why.format("that")
     if overlap[0] > _LEAST_OVERLAP * overlap[best]:
         return 0, ""
     first, other = (f"{100 * overlap[number]:.0f} %" for number in (0, best))
-    return best, f"the others show {other} of it, and {first} of the first"
+    return place, f"the others show {other} of it, and {first} of the first"
 
 
 def _overlap(view: RegisteredView, views: Sequence[RegisteredView]) -> float:
@@ -231,7 +255,11 @@ def register(
         left_out[index] = f"{photos[unlit[0]].name} shows the ambient light better"
     shown = [view for view in views.values() if view.flash] + [views[n] for n in unlit[:1]]
     named = tuple(
-        LeftOut(photos[index].name, f"{dark[index]}; {why}" if index in dark else why, index in few)
+        LeftOut(
+            photos[index].name,
+            f"{dark[index]}; {why}" if index in dark else why,
+            index if index in few else None,
+        )
         for index, why in sorted(left_out.items())
     )
     blurred = fitted.losses[0] > _BLURRED

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -284,6 +285,14 @@ def test_a_pair_of_which_one_is_left_is_the_capture_of_that_one(held, foreign):
             first.name
         ]
         assert result.photographs == 1
+
+
+def test_notes_of_the_first_stay_where_another_defines_the_frame(held):
+    first, second = held[1][:2]
+    smeared = replace(first, pixels=cv2.blur(first.pixels, (9, 1)), notes=("colours assumed",))
+    settings = CaptureSettings(preset="instant", detail=128)
+    result = capture_photo(smeared, settings, others=[second])
+    assert result.photo.name == second.name and "colours assumed" in result.photo.notes
 
 
 def test_a_hand_holds_the_phone_as_it_is_told():

@@ -192,7 +192,7 @@ def test_a_blurred_first_gives_way(grain, count):
     found = register_in_any_order([replace(grain[0], pixels=smeared), *grain[1:count]])
     assert found.views[0].photo is grain[1] and _names(found)[1] == ["p0"]
     assert "blurred" in found.left_out[0].why
-    assert found.frame == "The maps are those of what p1 shows, not p0: that is blurred."
+    assert found.frame == "The maps show what p1 shows, not p0: that is blurred."
 
 
 def _shadowed(photo):
@@ -206,6 +206,19 @@ def test_a_first_in_shadow_gives_way_and_is_used(grain, count):
     found = register_in_any_order([_shadowed(grain[0]), *grain[1:count]])
     assert found.views[0].photo is not grain[0] and len(found.views) == count
     assert not found.left_out and "of that is in shadow" in found.frame
+
+
+def test_a_better_one_is_named_by_the_place_it_was_given(grain):
+    """One that is left out stands before it."""
+    other = replace(_photographs(_weave(0.1, 0.1, 0.05))[1][0], name="other")
+    found = register_in_any_order([_shadowed(grain[0]), other, *grain[1:]])
+    assert len(found.views) == 3 and [one.name for one in found.left_out] == ["other"]
+
+
+def test_a_stranger_of_the_same_name_does_not_move_the_frame(grain):
+    other = replace(_photographs(_weave(0.1, 0.1, 0.05))[1][0], name="p1")
+    found = register_in_any_order([*grain, other])
+    assert found.views[0].photo is grain[0] and found.frame is None
 
 
 def test_a_shadow_is_of_the_photograph_that_is_darker(grain):
