@@ -251,7 +251,8 @@ class Setting:
         try:
             return self.kind(text)
         except ValueError as error:
-            limits = f" between {self.least:g} and {self.most:g}" if self.most < math.inf else ""
+            bounded = self.most < math.inf
+            limits = f" between {self.least:.15g} and {self.most:.15g}" if bounded else ""
             raise ValueError(f"'{text}' is not {_WORDS[self.kind]}{limits}") from error
 
     def typed(self, value: Any, where: str) -> Any:  # noqa: ANN401

@@ -360,7 +360,7 @@ def test_nan_is_no_number(matcap, text):
     [
         (("--width-cm", "20mm"), "'20mm' is not a number between 0.01 and 100000"),
         (("--albedo", "0,18"), "'0,18' is not a number between 0.005 and 1"),
-        (("--steps", "1.5"), "'1.5' is not a whole number between 0 and 1e+07"),
+        (("--steps", "1.5"), "'1.5' is not a whole number between 0 and 10000000"),
         (("--crop", "1,2"), "'1,2' is not a rectangle such as 100,0,512,512"),
     ],
 )
