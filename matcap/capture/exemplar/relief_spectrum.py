@@ -183,7 +183,7 @@ _SCALINGS = 3  # iterations of scaling bands to their energies, as neighbours ov
 # Largest factor on a band. At 5, leather's finest octave, which needs 11, stays too flat.
 _MOST_FACTOR = 30.0
 # Error of a direction's share over squared slopes: without, a steep rock gets a grain it lacks.
-_BY_STEEPNESS = 4.0
+_BY_STEEPNESS = 12.0
 _BY_DIRECTION = 1.0  # scale of the Cauchy prior of a direction's log factor
 _LEAST_SLOPE = 1e-4  # root-mean-square slope, lower limit of a band's and of its deviation
 
