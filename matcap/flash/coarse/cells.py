@@ -70,7 +70,8 @@ class Unknowns:
         return torch.cat([red, self.intensity, blue])
 
 
-INDEX = Unknowns.of(torch.arange(17))  # of each unknown in vector()
+COUNT = 17  # of unknowns
+INDEX = Unknowns.of(torch.arange(COUNT))  # of each unknown in vector()
 
 
 def numbers(*values: float) -> Tensor:

@@ -66,7 +66,7 @@ _CONDUCTOR_ODDS = 12.0
 _BLUEST = 0.1  # largest log ratio of a metal's F0 in blue to red
 # Radiance of the fifth code of 8 bits, and the largest share of a developed picture below it: what
 # crushed shadows hide may be diffuse (black leather 0234: 0.66; metals at most 0.01).
-_CRUSHED, _MOST_CRUSHED = 1.5e-3, 0.5
+_FIFTH_CODE, _MOST_CRUSHED = 1.5e-3, 0.5
 _DARKEST_CHANNEL = 0.01  # of albedo, over the largest
 _DULLEST = 0.8  # largest roughness of a metal, as a photograph without highlight shows none
 
@@ -132,7 +132,7 @@ def fit_coarse(
     ]
     dielectric, metal = (_minima(problem, highlight, tilt) for problem in problems)
     chosen, dielectric_cost, _ = _fitted(photo, replace(problems[0], cells=fine), share, dielectric)
-    crushed = float((photo.pixels.max(-1) < _CRUSHED).mean())
+    crushed = float((photo.pixels.max(-1) < _FIFTH_CODE).mean())
     undecided = known_metal is None and (photo.radiometric or crushed <= _MOST_CRUSHED)
     # A conductor with the larger cost on coarse cells would have to gain all of _CONDUCTOR_ODDS.
     if known_metal or (undecided and metal[0][0] <= dielectric[0][0]):

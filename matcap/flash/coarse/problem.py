@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.flash.coarse.cells import (
+    COUNT,
     INDEX,
     CoarseCells,
     Unknowns,
@@ -130,7 +131,7 @@ _BRIGHTENING = 0.02  # prior deviation of negative falloff, which ambient light 
 # Albedo of a white surface, and prior deviation of the logarithm beyond it.
 WHITE, _WHITER = 0.8, 0.1
 # Bounds of the parameters, and the prior's deviation beyond them.
-_LEAST, _MOST, _BEYOND = numbers(-math.inf, math.inf, math.inf)[:, None].repeat(1, 17)
+_LEAST, _MOST, _BEYOND = numbers(-math.inf, math.inf, math.inf)[:, None].repeat(1, COUNT)
 _LEAST[INDEX.vignetting], _BEYOND[INDEX.vignetting] = 0.0, _BRIGHTENING
 _MOST[INDEX.albedo], _BEYOND[INDEX.albedo] = math.log(WHITE), _WHITER
 _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of channels
