@@ -64,9 +64,8 @@ def capture(photo: Photo, prior: Prior = network_prior) -> tuple[Material, matca
 
     exemplar, copies = inpainted(exemplar_of(observed, predicted), observed)  # under the highlight
     exemplar = refitted_to_highlight(exemplar, observed, predicted.metal)
-    matte = rectified.whole  # glints of a dielectric are no albedo
-    if not predicted.metal.any():
-        matte = without_glints(matte, coarse)
+    metal = bool(predicted.metal.any())  # glints of a dielectric are no albedo
+    matte = without_glints(rectified.whole, coarse, metal=metal)
     exemplar = transfer_detail(exemplar, matte, coarse, copies)
     scale = most_probable_scale(exemplar, predicted.metal)  # what one flash leaves open
     exemplar = scaled(exemplar, scale).rounded()

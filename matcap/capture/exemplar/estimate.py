@@ -168,7 +168,7 @@ def estimate_exemplar(
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
-        matte = whole if prediction.metal.any() else without_glints(whole, coarse)
+        matte = without_glints(whole, coarse, metal=bool(prediction.metal.any()))
         exemplar = transfer_detail(exemplar, matte, coarse, copies)
         scale = known.scale(exemplar, prediction.metal)
         exemplar = known.rougher(scaled(exemplar, scale)).rounded()

@@ -40,12 +40,12 @@ _LEAST_BOUND = 0.1  # of whiteness, over albedo
 
 
 @torch.no_grad()
-def without_glints(plane: Plane, uniform: CoarseFit) -> Plane:
-    """A photograph less its white glints; unchanged of metal and of grey materials."""
+def without_glints(plane: Plane, uniform: CoarseFit, *, metal: bool = False) -> Plane:
+    """A photograph less its white glints; unchanged of grey materials and where any is metal."""
     albedo = np.array(uniform.diffuse)
     most, least = int(albedo.argmax()), int(albedo.argmin())
     seen = (plane.measured.all(0) & plane.kept).numpy()
-    if uniform.conductor or albedo[least] > _GREYEST * albedo[most] or not seen.any():
+    if metal or uniform.conductor or albedo[least] > _GREYEST * albedo[most] or not seen.any():
         return plane
     height, width = seen.shape
     size = tuple(max(2, -(-side // SUBSAMPLING)) for side in (height, width))

@@ -146,7 +146,7 @@ def refine_maps(
         steep = replace(steep, height=height[None])
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
     metal = fitted.classes.metal_share
-    matte = plane if bool(metal.any()) else without_glints(plane, observed.coarse)
+    matte = without_glints(plane, observed.coarse, metal=bool(metal.any()))
     photograph = matte.linear, observed.shown
     refined = refine_albedo(
         fitted.residuals,

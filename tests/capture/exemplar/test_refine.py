@@ -485,3 +485,4 @@ def test_grey_and_metal_are_unchanged(conductor: bool) -> None:
     light, uniform = _wood(WOOD if conductor else (0.1, 0.1, 0.09))
     plane = whole_plane(light + _dashes(light) * light.mean())
     assert without_glints(plane, replace(uniform, conductor=conductor)) is plane
+    assert without_glints(plane, _wood()[1], metal=True) is plane
