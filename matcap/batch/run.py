@@ -545,8 +545,16 @@ def predict(prepared: Prepared) -> dict[str, Any]:
 
     From materials in the output that were made with the same steps and detail: wall time of a
     sample on one worker, and of the whole batch if nothing else uses the processor; None before a
-    material is made.
+    material is made. Entries whose files are no photographs by their first bytes become failed.
     """
+    from matcap.photo.load import file_kind
+
+    for entry in prepared.todo:
+        try:
+            for photo in entry.sample.photos:
+                file_kind(photo)
+        except MatcapError as error:
+            entry.state, entry.reason = "failed", str(error)
     settings, out, todo = prepared.settings, prepared.out, len(prepared.todo)
     wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
     records = (work.read_record(file.parent) for file in sorted(out.glob(f"*/{work.FILE}")))
@@ -579,7 +587,7 @@ def predict(prepared: Prepared) -> dict[str, Any]:
 def prediction_text(known: dict[str, Any]) -> str:
     """What predict() returns as a sentence."""
     if not known["todo"]:
-        return "Nothing to do: all materials are made."
+        return "Nothing to do: what can be used is made."
     pace = "time unknown"
     if known["seconds"] is not None:
         whole, each = (spoken_duration(known[key]) for key in ("seconds", "seconds_each"))

@@ -413,7 +413,7 @@ def within_time(settings: CaptureSettings, photographs: int, slower: float) -> C
         raise UsageError.at(
             "--time",
             f"the shortest capture takes about {least} on this machine as busy as it is now",
-            f"give {least} or more, or --preset instant",
+            f"give {least} or more, or --preset instant without --time",
         )
     if settings.detail is not None or settings.generator == "decoder":
         return settings

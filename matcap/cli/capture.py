@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import time
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +36,7 @@ from matcap.cli.options import (
     with_settings,
 )
 from matcap.errors import ExitCode, MatcapError, UsageError
-from matcap.files.names import usable_name
+from matcap.files.names import Note, usable_name
 
 if TYPE_CHECKING:
     from matcap.batch.work import BatchEntry
@@ -93,7 +95,7 @@ def capture(
         )
     if settings.time_limit is not None:
         settings = within_time(settings, len(photos) if together else 1, slowness())
-    samples = [tuple(photos)] if together else find_brackets(photos, fov=settings.fov)
+    samples = [tuple(photos)] if together else find_brackets(_once(photos), fov=settings.fov)
     jobs = _jobs(samples, out)
     check_writable(out, outputs.room)
     results = []
@@ -114,6 +116,15 @@ def capture(
     states = [_state(result, strict=strict) for result in results]
     done = ExitCode.of(states.count("done"), len(states))
     raise typer.Exit(ExitCode.INTERRUPTED if "interrupted" in states else done)
+
+
+def _once(photos: Sequence[Path]) -> list[Path]:
+    """The photographs, each once; a note names those given again."""
+    once = {os.path.abspath(photo): photo for photo in reversed(photos)}
+    counts = Counter(os.path.abspath(photo) for photo in photos)
+    for path in (path for path, times in counts.items() if times > 1):
+        warnings.warn(f"{once[path]}: given more than once, captured once", Note, stacklevel=2)
+    return [once[path] for path in counts]
 
 
 def _jobs(samples: Sequence[Sequence[Path]], out: Path) -> list[_Job]:

@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type
 import typer
 from typer.core import TyperCommand, TyperOption
 
+from matcap.errors import UsageError
 from matcap.files.settings import NUMBERS, Setting, settings_in
 
 GROUPS = ("Everyday", "Several photographs", "Output", "Decoder", "Advanced")
@@ -70,8 +71,17 @@ class PlainCommand(TyperCommand):
     _whole = False
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
-        """Parse the arguments; `--help` and `--help-all` are one option."""
+        """Parse the arguments; `--help` and `--help-all` are one option.
+
+        Raises:
+            UsageError: of two options that exclude each other (--metal, --dielectric) both are
+                given; of --x and --no-x the last counts, as everywhere.
+        """
         self._whole = ALL in args
+        for param in self.params:
+            both = [*param.opts, *param.secondary_opts]
+            if {*both} <= {*args} and not both[-1].startswith("--no-") and param.secondary_opts:
+                raise UsageError.at(" ".join(both), "one excludes the other", "give one of them")
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401

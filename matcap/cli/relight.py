@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +26,7 @@ from matcap.cli.options import (
 from matcap.errors import MatcapError
 from matcap.field.options import ReadOptions
 from matcap.files import settings as values
+from matcap.files.names import Note
 from matcap.files.settings import CheckedSettings, setting
 from matcap.relight.effects import DEFAULT_TOLERANCE
 
@@ -176,8 +178,13 @@ def _renderer(
     if asked.maps_from is None:
         source = _by_example(path, read) or open_source(path, read)
         return Renderer(source, scene, seed=asked.seed)
+    from matcap.brdf.folder import find_mapsets
     from matcap.relight.foreign.read import read_foreign
 
+    if asked.maps_from.is_dir() and find_mapsets(asked.maps_from):
+        what = "matcap's own map set is read by names alone, without F0 and units"
+        remedy = "give it without --maps-from"
+        warnings.warn(f"{asked.maps_from}: {what}; {remedy}", Note, stacklevel=2)
     foreign = read_foreign(asked.maps_from, normal=asked.normal)
     for note in foreign.notes:
         printer(quiet=quiet)(f"{asked.maps_from}: {note}")
@@ -266,7 +273,7 @@ def view(
         check_page_path(html)
         inputs = [file for file in (path, blend, photo) if file is not None and file.is_file()]
         check_output([html], inputs=inputs, overwrite=overwrite, option="--html")
-        check_writable(html.parent, 0)
+        check_writable(html.parent, 0, option="--html")
     subject = open_subject(path, blend, asked.seed, read)
     material = subject.first if isinstance(subject, Materials) else None
     shown = reference_photograph(path, subject.facts.name, photo, material)

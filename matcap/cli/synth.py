@@ -319,7 +319,7 @@ def export(
         Path, typer.Argument(help="A material, a map set or a folder with either.")
     ] = Path("."),
     to: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             metavar="TARGET",
             help="materialx, usd, gltf, blender, mitsuba, or textures named and packed for unreal, "
@@ -349,10 +349,12 @@ def export(
     from matcap.files.process import check_memory
     from matcap.files.settings import known, refuse_options
 
-    if to is None:
+    if not to:
         names = ", ".join(targets.TARGETS)
         raise UsageError.at("--to", "there is no target", f"choose from {names}")
-    target = known(to, targets.TARGETS, "--to")
+    if len(to) > 1:
+        raise UsageError.at("--to", "one target at a time", "run the command once for each")
+    target = known(to[0], targets.TARGETS, "--to")
     options = chosen(ExportOptions, written)
     if target in targets.DOCUMENTS:
         refuse_options(

@@ -73,10 +73,10 @@ def read_head(path: Path) -> bytes:
         MatcapError: the file is missing, not a file, empty, or unreadable.
     """
     if path.is_dir():
-        raise MatcapError.at(path, "this is a directory", "give one picture inside it")
+        raise MatcapError.at(path, "this is a folder", "give one picture inside it")
     try:
         if path.exists() and not path.is_file():
-            raise MatcapError.at(path, "this is not a file", "give a picture")
+            raise MatcapError.at(path, "this is a pipe or a device", "save the picture to a file")
         with path.open("rb") as file:
             head = file.read(_HEAD)
     except FileNotFoundError as error:

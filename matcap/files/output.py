@@ -141,38 +141,39 @@ def check_output(
             raise MatcapError.at(path, "this exists already", remedy)
 
 
-def check_writable(folder: Path, space: int, names: Iterable[str] = ()) -> None:
+def check_writable(folder: Path, space: int, names: Iterable[str] = (), option: str = "-o") -> None:
     """Check that files can be written before work begins; leaves nothing behind.
 
     Args:
         folder: destination, which need not exist.
         space: bytes that the files take.
         names: of the files, if known.
+        option: names the folder, for the advice.
 
     Raises:
         MatcapError: the folder cannot be created or written, a folder has a file's name, or the
             disk has too little space.
     """
     try:
-        with _made(folder), TemporaryFile(dir=folder):
+        with _made(folder), TemporaryFile(prefix=HIDDEN, dir=folder):
             free = shutil.disk_usage(folder).free
             for name in names:
                 _file_exists(folder / name)
     except OSError as error:
-        raise write_error(_culprit(folder, error), error) from error
+        raise write_error(_culprit(folder, error), error, option) from error
     if free < space:
         raise MatcapError.at(
             folder,
             f"about {_size(space)} are needed but the disk has {_size(free)} left",
-            f"free some space or {_ELSEWHERE}",
+            f"free some space or {_ELSEWHERE.replace('-o', option)}",
         )
 
 
-def write_error(path: Path, error: OSError) -> MatcapError:
-    """The error for a failure to write at `path`."""
+def write_error(path: Path, error: OSError, option: str = "-o") -> MatcapError:
+    """The error for a failure to write at `path`, which `option` names."""
     reason = error.strerror or str(error) or type(error).__name__
     what, remedy = _REASONS.get(error.errno or 0, (f"could not be written ({reason})", _ELSEWHERE))
-    return MatcapError.at(path, what, remedy)
+    return MatcapError.at(path, what, remedy.replace("-o", option))
 
 
 def sync(path: Path) -> None:

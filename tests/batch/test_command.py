@@ -36,6 +36,13 @@ def test_a_dry_run_writes_nothing_and_forecasts_no_time(shoot, tmp_path, capsys)
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
     text = capsys.readouterr().out
     assert "leather: to do" in text and "time unknown" in text and "GB of memory" in text
+    (shoot / "void.jpg").touch()
+    (shoot / "words.tif").write_text("words")
+    assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    assert "1 to capture" in text and "leather: to do" in text
+    assert "void: cannot be used (" in text and "void.jpg: the file is empty" in text
+    assert "words: cannot be used (" in text and "but a text file" in text
 
 
 def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, tmp_path, capsys):

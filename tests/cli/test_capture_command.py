@@ -94,6 +94,16 @@ def test_known_properties_are_of_one_photograph_and_within_limits(matcap, pipeli
     said = matcap("capture", photo, other, "--together", "-o", out, "--albedo", "0.18")
     assert said.code == 2 and "--albedo: this is of one photograph" in said.err
     assert matcap("capture", photo, "-o", out, "--albedo", "3").code == 2
+    both = matcap("capture", photo, "-o", out, "--metal", "--dielectric")
+    assert both.code == 2 and "--metal --dielectric: one excludes the other" in both.err
+    assert not pipeline.calls
+
+
+def test_a_photograph_given_again_is_captured_once(matcap, pipeline, photo, out):
+    again = photo.parent / "." / ".." / photo.parent.name / photo.name
+    said = matcap("capture", photo, again, "-o", out, "--size", "32")
+    assert said.code == 0 and "given more than once, captured once" in said.err
+    assert [path.name for path in out.iterdir()] == ["leather"] and len(pipeline.calls) == 1
 
 
 @pytest.mark.parametrize("form", ["png", "jpg"])

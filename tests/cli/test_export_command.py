@@ -86,6 +86,7 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
         (["--to", "usd", "--seed", "9" * 25], 2, "is out of range"),
         (["--to", "usd", "--size", "99999999"], 2, "has a side of more than 65536"),
         (["--to", "gtlf"], 2, "--to: there is no 'gtlf'; did you mean 'gltf'."),
+        (["--to", "usd", "--to", "gltf"], 2, "--to: one target at a time; run the command once"),
         (["--to", "unreal-engine"], 2, "did you mean 'unreal'."),
         (["--to", "unral"], 2, "--to: there is no 'unral'; did you mean 'unreal'."),
         (

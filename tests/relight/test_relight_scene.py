@@ -276,6 +276,9 @@ def test_maps_of_other_programs_are_relit(run, tmp_path):
     code, _, err = run("--maps-from", "bricks", "-o", "a.png")
     assert code == 0 and "which way green points" in err and cv2.imread("a.png").shape == (8, 8, 3)
     assert "green" not in run("--maps-from", "bricks", "--normal", "dx", "-o", "b.png")[2]
+    code, _, err = run("--maps-from", "m", "-o", "c.png")
+    assert code == 0 and "m: matcap's own map set" in err and "without --maps-from" in err
+    assert "own map set" not in run("m", "-o", "d.png")[2]
 
 
 @pytest.mark.parametrize(

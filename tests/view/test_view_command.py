@@ -110,6 +110,8 @@ def test_names_cannot_break_out_of_the_page(material):
         (["nowhere"], "no such file or folder", 3),
         (["{folder}", "--html", "page.txt"], "use .html or .htm", 2),
         (["{folder}", "--html", "{out}/page.html", "--tile", "65"], "choose a multiple of 16", 2),
+        (["{folder}", "--html", "/proc/page.html"], "matcap: /proc: ", 3),
+        (["{folder}", "--html", "/proc/page.html"], "choose another folder with --html.", 3),
         (["{folder}", "--blend", "nowhere.matcap"], "no such file", 3),
         (["{folder}", "--photo", "nowhere.jpg"], "nowhere.jpg", 3),
     ],
