@@ -24,15 +24,14 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from matcap.files.color import srgb_slope
 from matcap.photo.left_out import area_averaged
 from matcap.photo.photo import ToneCurve
 
 Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
 
 ACROSS = 1024  # texels of the long side, of the grid on which it is measured
 _SMOOTH, _TEXTURE = 1.5, 24.0  # texels; shortest and longest waves, standard deviations of blurs
@@ -62,50 +61,54 @@ _POINTS = 16  # texels at which a model's share is averaged over a ring
 class DiffuseRings:
     """Log scatter of n rings under one flash colour, to be compared with a model's share."""
 
-    log_scatter: Tensor
+    log_scatter: Doubles
     """(n,) of channel differences."""
-    image: Tensor
+    image: Doubles
     """(2, n, points) image coordinates of measured texels of each ring."""
-    whitening: Tensor
+    whitening: Doubles
     """(n, n) W with W^T W the precision of log scatter, whose common factor is free."""
 
-    def residuals(self, share: Tensor) -> Tensor:
-        """(n,) standardised residuals of the diffuse share (n,) of a model's radiance."""
-        return self.whitening @ (self.log_scatter - share.clamp_min(1e-3).log())
+    def residuals(self, share: Doubles) -> tuple[Doubles, Doubles]:
+        """(n,) standardised residuals of the diffuse share (n,) of a model's radiance, and (n, n)
+        their derivatives by it.
+        """
+        least = np.maximum(share, 1e-3)
+        by = np.where(share < least, 0.0, -self.whitening / least)
+        return self.whitening @ (self.log_scatter - np.log(least)), by
 
 
 @dataclass(frozen=True)
 class DiffuseShare:
     """Colour scatter of n rings, from the innermost."""
 
-    moments: Tensor
+    moments: Doubles
     """(n, 3, 3) second moments of high-passed radiance by channel, over the local mean."""
-    noise: Tensor
+    noise: Doubles
     """(n, 3) variance of the noise in them, by channel."""
-    deviation: Tensor
+    deviation: Doubles
     """(n,) standard deviation of the log scatter of a ring."""
-    shoulder: Tensor
+    shoulder: Doubles
     """(n,) error of the log scatter if the tone curve's shoulder errs by its deviation."""
-    image: Tensor
+    image: Doubles
     """(2, n, points) image coordinates of measured texels of each ring."""
 
-    def log_scatter(self, colour: Tensor) -> Tensor:
+    def log_scatter(self, colour: Doubles) -> Doubles:
         """(n,) log scatter of channel differences; `colour` (3,) is the flash's."""
-        white = (colour.mean() / colour).diag()
+        white = np.diag(colour.mean() / colour)
         differences = white[::2] - white[1]
-        moments = torch.einsum("ic,ncd,id->n", differences, self.moments, differences)
-        noise = self.noise @ differences.square().sum(0)
+        moments = np.einsum("ic,ncd,id->n", differences, self.moments, differences)
+        noise = self.noise @ np.square(differences).sum(0)
         # The noise is uncertain, so that no ring has none but it.
-        return 0.5 * torch.maximum(moments - noise, 0.1 * moments + 1e-9).log()
+        return np.asarray(0.5 * np.log(np.maximum(moments - noise, 0.1 * moments + 1e-9)))
 
-    def under(self, colour: Tensor) -> DiffuseRings:
+    def under(self, colour: Doubles) -> DiffuseRings:
         """The scatter under a flash of colour (3,).
 
         Errors of the tone curve's shoulder are common to all rings.
         """
-        each = self.deviation.square().diag()
-        common = self.shoulder[:, None] * self.shoulder + _FREE**2
-        whitening = torch.linalg.inv(torch.linalg.cholesky(each + common))
+        each = np.diag(np.square(self.deviation))
+        common = np.outer(self.shoulder, self.shoulder) + _FREE**2
+        whitening = np.linalg.inv(np.linalg.cholesky(each + common))
         return DiffuseRings(self.log_scatter(colour), self.image, whitening)
 
 
@@ -186,12 +189,12 @@ def measure_diffuse_share(
         return None
     # No lobe adds scatter: what exceeds that of all rings farther out is of coloured glints.
     moments, floors, deviations, shoulder, image = (
-        torch.from_numpy(np.array(part, np.float64)) for part in zip(*rings, strict=True)
+        np.array(part, np.float64) for part in zip(*rings, strict=True)
     )
-    measured = DiffuseShare(moments, floors, deviations, shoulder, image.movedim(0, 1))
-    log_scatter = measured.log_scatter(torch.ones_like(floors[0]))
-    farther = log_scatter.flip(0).cummax(0).values.flip(0)[1:]
-    excess = (log_scatter[:-1] - farther).clamp_min(0.0)
+    measured = DiffuseShare(moments, floors, deviations, shoulder, np.moveaxis(image, 0, 1))
+    log_scatter = measured.log_scatter(np.ones(3))
+    farther = np.maximum.accumulate(log_scatter[::-1])[::-1][1:]
+    excess = np.maximum(log_scatter[:-1] - farther, 0.0)
     deviations[:-1] += _BY_EXCESS * excess
     return measured if int((deviations < _MOST_DEVIATION).sum()) > 1 else None
 

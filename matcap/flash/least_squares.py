@@ -6,24 +6,23 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
 
 _FIRST, _LEAST = 1e-2, 1e-6  # damping: share of the diagonal that is added to it
 
 
 def minimised(
-    cost: Callable[[Tensor], float],
-    quadratic: Callable[[Tensor], tuple[Tensor, Tensor]],
-    start: Tensor,
+    cost: Callable[[Doubles], float],
+    quadratic: Callable[[Doubles], tuple[Doubles, Doubles]],
+    start: Doubles,
     iterations: int,
     *,
     farthest: float = math.inf,
     tolerance: float = 1e-5,
-) -> tuple[float, Tensor]:
+) -> tuple[float, Doubles]:
     """Least cost and its parameters after at most `iterations` steps.
 
     Args:
@@ -39,8 +38,8 @@ def minimised(
         normal, gradient = quadratic(parameters)
         candidate, new = parameters, math.inf
         while not new < least and damping * _LEAST < 1.0:
-            damped = normal + damping * torch.diag(normal.diagonal())
-            step = torch.linalg.solve(damped, gradient).clamp(-farthest, farthest)
+            damped = normal + damping * np.diag(normal.diagonal())
+            step = np.linalg.solve(damped, gradient).clip(-farthest, farthest)
             candidate = parameters - step
             new = cost(candidate)
             damping *= 4.0
@@ -53,12 +52,12 @@ def minimised(
     return least, parameters
 
 
-def huber(residuals: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+def huber(residuals: Doubles, threshold: float) -> tuple[Doubles, Doubles]:
     """Huber loss of residuals, and the weights at which squares have its gradient; any shape."""
-    size = residuals.abs()
+    size = np.abs(residuals)
     linear = threshold * (size - 0.5 * threshold)
-    loss = torch.where(size < threshold, 0.5 * size.square(), linear)
-    return loss, threshold / size.clamp_min(threshold)
+    loss = np.where(size < threshold, 0.5 * np.square(size), linear)
+    return loss, threshold / np.maximum(size, threshold)
 
 
 def conjugate_gradients(
@@ -95,9 +94,7 @@ def conjugate_gradients(
     return solution
 
 
-def jacobian(
-    f: Callable[[NDArray[np.float64]], NDArray[np.float64]], at: NDArray[np.float64], step: float
-) -> NDArray[np.float64]:
+def jacobian(f: Callable[[Doubles], Doubles], at: Doubles, step: float) -> Doubles:
     """(m, n) d f / d x at x (n,) by forward differences; values of f are flattened to (m,)."""
     value = f(at)
     return np.stack([((f(at + d) - value) / step).ravel() for d in step * np.eye(len(at))], 1)

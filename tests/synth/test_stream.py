@@ -1,6 +1,7 @@
 """Synthesis to files."""
 
 import json
+import os
 import pickle
 import platform
 import signal
@@ -347,6 +348,18 @@ def test_workers_change_no_byte_on_cuda(material, tmp_path):
     for count in (1, 3):
         write_field(asked, replace(field, source=source), tmp_path / str(count), Work(count))
     assert contents(tmp_path / "1") == contents(tmp_path / "3")
+
+
+@pytest.mark.parametrize("stated", [{}, {"THP_MEM_ALLOC_ENABLE": "0"}])
+def test_large_tensors_are_aligned_to_huge_pages_unless_the_user_says_otherwise(stated):
+    """PyTorch reads it once, so a process of its own asks."""
+    code = (
+        "import os; from matcap.files.process import keep_memory; keep_memory();"
+        "print(os.environ['THP_MEM_ALLOC_ENABLE'])"
+    )
+    others = {name: value for name, value in os.environ.items() if not name.startswith("THP_")}
+    done = subprocess.run([sys.executable, "-c", code], env=others | stated, capture_output=True)
+    assert done.stdout.split() == [stated.get("THP_MEM_ALLOC_ENABLE", "1").encode()]
 
 
 def test_memory_is_returned_where_a_stage_begins(monkeypatch):

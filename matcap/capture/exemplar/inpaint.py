@@ -179,9 +179,9 @@ def transport(
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
-    photograph = _Photograph(exemplar, linear, valid, light)
-    trend = _trend(exemplar, ~hidden)
-    chosen = _choose(places, donors, planes, ~hidden, photograph, trend)
+    compared = _Photograph(exemplar, linear, valid, light), _trend(exemplar, ~hidden)
+    chosen = _choose(places, donors, planes, ~hidden, *compared)
+    del compared  # 80 MB of 1024 texels across, which composing has other use for
     source, copied = _sources(chosen, hidden)
     slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
@@ -518,38 +518,40 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
         for line, side in zip((rows, columns), free.shape, strict=True)
     )
     inside, here = free[box], source[:, *box]
-    copied = maps[:, here[0], here[1]].astype(np.float64)
     result = maps.copy()
-    shown = copied + _solved(_mismatches(maps, here, copied, free) * inside, inside, reach)
-    result[:, *box] = np.where(inside, shown, maps[:, *box])
+    copied = maps[:, here[0], here[1]]
+    each = zip(maps, copied, strict=True)  # one map at a time, as there are a dozen like it
+    wanted = np.stack([_mismatches(*one, here, free)[inside] for one in each])
+    result[:, *box][:, inside] = copied[:, inside] + _solved(wanted, inside, reach)
     return result
 
 
 def _mismatches(
-    maps: Floats, here: BlockPlaces, copied: NDArray[np.float64], free: TexelMask
+    plane: Floats, copied: Floats, here: BlockPlaces, free: TexelMask
 ) -> NDArray[np.float64]:
-    """(C, h, w) sums over neighbours of how far gradients of `copied`, maps from places `here`, are
-    from the wanted ones.
+    """(h, w) sums over neighbours of how far gradients of `copied`, a map (H, W) at places `here`,
+    are from the wanted ones.
     """
-    wanted = np.zeros_like(copied)
+    exact = copied.astype(np.float64)
+    wanted = np.zeros_like(exact)
     for axis in (0, 1):
         first, last = _ends(axis)
         step = np.array([[[1 - axis]], [[axis]]])
-        before, after = copied[:, *first], copied[:, *last]
-        ahead, has_ahead = _at(maps, here[:, *first] + step, free)
-        behind, has_behind = _at(maps, here[:, *last] - step, free)
+        before, after = exact[first], exact[last]
+        ahead, has_ahead = _at(plane, here[:, *first] + step, free)
+        behind, has_behind = _at(plane, here[:, *last] - step, free)
         drawn = has_ahead * (ahead - before) + has_behind * (after - behind)
         known = has_ahead + has_behind
         mismatch = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
-        wanted[:, *first] += mismatch
-        wanted[:, *last] -= mismatch
+        wanted[first] += mismatch
+        wanted[last] -= mismatch
     return wanted
 
 
 def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats:
     """Solution c of (L + reach^-2) c = right, 0 where not free; L is the graph Laplacian.
 
-    Right and c are (C, h, w).
+    Right and c are (C, N), of the N free texels.
     """
     neighbours, degree = _free_neighbours(free)
     diagonal = degree + np.float32(reach**-2)
@@ -563,12 +565,9 @@ def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats
             np.subtract(image, np.take(padded, each, 0, some, "clip"), out=image)
         return image
 
-    result = np.zeros(right.shape, np.float32)
-    known = np.ascontiguousarray(right[:, free].T, np.float32)
+    known = np.ascontiguousarray(right.T, np.float32)
     # In exact arithmetic as many iterations as unknowns suffice.
-    solution = conjugate_gradients(product, known, len(known), tolerance=_TOLERANCE)
-    result[:, free] = solution.T
-    return result
+    return conjugate_gradients(product, known, len(known), tolerance=_TOLERANCE).T
 
 
 def _free_neighbours(free: TexelMask) -> tuple[list[NDArray[np.int64]], Floats]:
@@ -591,8 +590,8 @@ def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     return ((first, every), (last, every)) if axis == 0 else ((every, first), (every, last))
 
 
-def _at(maps: Floats, places: BlockPlaces, free: TexelMask) -> tuple[Floats, Floats]:
-    """(C, h, w) maps at places (2, h, w), and (h, w) 1 where those are kept texels, else 0."""
+def _at(plane: Floats, places: BlockPlaces, free: TexelMask) -> tuple[Floats, Floats]:
+    """(h, w) a map at places (2, h, w), and 1 where those are kept texels, else 0."""
     rows, columns = (np.clip(p, 0, side - 1) for p, side in zip(places, free.shape, strict=True))
     kept = (rows == places[0]) & (columns == places[1]) & ~free[rows, columns]
-    return maps[:, rows, columns], kept.astype(np.float32)
+    return plane[rows, columns], kept.astype(np.float32)

@@ -28,7 +28,7 @@ from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE
 from matcap.flash.coarse.cells import CRUSHED
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0, Gaussian
-from matcap.flash.least_squares import huber, minimised
+from matcap.flash.least_squares import Doubles, huber, minimised
 from matcap.flash.light import DARKEST, FlashLight
 
 # Exposure prior: the most probable flash intensity, which one photograph does not determine.
@@ -341,8 +341,8 @@ def fit_mean_parameters(
         prior: of the result.
     """
     fit = _RingFit(target, shares, prior)
-    problem = fit.cost, fit.quadratic, start.flatten(), _STEPS
-    _, theta = minimised(*problem, farthest=_MOST_STEP, tolerance=1e-7)
+    problem = fit.cost, fit.quadratic, start.flatten().numpy(), _STEPS
+    theta = torch.from_numpy(minimised(*problem, farthest=_MOST_STEP, tolerance=1e-7)[1])
     residual = fit.residuals(theta)
     weight = fit.weights(residual)
     return theta.reshape(start.shape), float((residual.abs() * weight).sum() / weight.sum())
@@ -377,22 +377,26 @@ class _RingFit:
         """(N,) weights of residuals; that of a clipped ring's is small if the model is brighter."""
         return self._counts * torch.where(residual < 0.0, self._open, 1.0)
 
-    def cost(self, theta: Tensor) -> float:
-        """Huber loss of the residuals plus that of the prior."""
+    def cost(self, parameters: Doubles) -> float:
+        """Huber loss of the residuals plus that of the prior, of parameters (5 K,)."""
+        theta = torch.from_numpy(parameters)
         residual = self.residuals(theta)
-        likelihood = self.weights(residual) @ huber(residual, _HUBER)[0]
+        likelihood = self.weights(residual).numpy() @ huber(residual.numpy(), _HUBER)[0]
         off, excess = self._prior_residuals(theta)
         return float(likelihood + 0.5 * (off.square().sum() + excess.square()))
 
-    def quadratic(self, theta: Tensor) -> tuple[Tensor, Tensor]:
+    def quadratic(self, parameters: Doubles) -> tuple[Doubles, Doubles]:
         """(5 K, 5 K) Gauss-Newton Hessian of the cost, and (5 K,) its gradient."""
+        theta = torch.from_numpy(parameters)
         residual, columns = self._linear(theta)
-        weighted = columns * (self.weights(residual) * huber(residual, _HUBER)[1])
+        robust = torch.from_numpy(huber(residual.numpy(), _HUBER)[1])
+        weighted = columns * (self.weights(residual) * robust)
         deviation, contrast = self._prior.deviation.flatten(), self._contrast.flatten()
         off, excess = self._prior_residuals(theta)
         steep = contrast / self._prior.contrast.deviation
         hessian = weighted @ columns.T + torch.diag(deviation**-2) + steep[:, None] * steep
-        return hessian, off / deviation + excess * steep - weighted @ residual
+        gradient = off / deviation + excess * steep - weighted @ residual
+        return hessian.numpy(), gradient.numpy()
 
     def _prior_residuals(self, theta: Tensor) -> tuple[Tensor, Tensor]:
         """Deviations of mean parameters (5 K,) and of the contrast of F0 from the prior's."""

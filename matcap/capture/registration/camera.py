@@ -16,9 +16,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from matcap.flash.geometry import OWN, Extent, FlashSetup, camera_in_plane, setup_rotation
 from matcap.flash.least_squares import huber, jacobian, minimised
@@ -242,14 +240,13 @@ def adjust(
     prior, deviation = np.r_[0.0, 0.0, 0.0, setup.tilt], np.array([focal, *distortion, TILT, TILT])
     bundle = _Bundle(setup, pairs, prior, deviation, relief)
     poses = [_initial_pose(PosedCamera.of(setup), pair) for pair in pairs]
-    start = torch.from_numpy(np.concatenate([bundle.prior, *poses]))
-    _, minimum = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
-    cameras, errors = [bundle.first_camera(minimum.numpy())], []
+    start = np.concatenate([bundle.prior, *poses])
+    _, values = minimised(bundle.cost, bundle.quadratic, start, _STEPS, tolerance=1e-7)
+    cameras, errors = [bundle.first_camera(values)], []
     for pair, block in bundle.blocks:
-        fitted = minimum.numpy()[block]
+        fitted = values[block]
         cameras.append(bundle.cameras(pair, fitted)[1])
         errors.append(float(np.median(np.hypot(*bundle.residuals(pair, fitted)))))
-    values = minimum.numpy()
     first = _adjusted(setup, values)
     return Adjusted(first, tuple(cameras), tuple(errors), bundle, values)
 
@@ -292,15 +289,13 @@ class _Bundle:
         """(2, n) reprojection errors of parameters (11,), pixels, less what relief explains."""
         return less_relief(*reprojected(*self.cameras(pair, parameters), pair, self.relief))
 
-    def cost(self, parameters: Tensor) -> float:
+    def cost(self, values: Doubles) -> float:
         """Cost of parameters (5 + 6 pairs,)."""
-        values = parameters.numpy()
         prior = float(np.square((values[:_COMMON] - self.prior) / self.deviation).sum()) / 2.0
         return prior + sum(_huber(self.residuals(pair, values[at]))[0] for pair, at in self.blocks)
 
-    def quadratic(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+    def quadratic(self, values: Doubles) -> tuple[Doubles, Doubles]:
         """Its Gauss-Newton Hessian and gradient."""
-        values = parameters.numpy()
         normal, gradient = 1e-12 * np.eye(len(values)), np.zeros(len(values))
         normal[:_COMMON, :_COMMON] += np.diag(self.deviation**-2)
         gradient[:_COMMON] = (values[:_COMMON] - self.prior) / self.deviation**2
@@ -311,7 +306,7 @@ class _Bundle:
             weighted = derivative * np.tile(_huber(residual)[1], 2)[:, None]
             normal[np.ix_(block, block)] += weighted.T @ derivative
             gradient[block] += weighted.T @ residual.ravel()
-        return torch.from_numpy(normal), torch.from_numpy(gradient)
+        return normal, gradient
 
 
 def reprojected(
@@ -341,9 +336,9 @@ def less_relief(residual: Doubles, parallax: Doubles) -> Doubles:
 
 def _huber(residuals: Doubles) -> tuple[float, Doubles]:
     """Huber cost of residuals (2, n), pixels, and the weight of each."""
-    loss, weight = huber(torch.from_numpy(np.hypot(*residuals)), _HUBER)
+    loss, weight = huber(np.hypot(*residuals), _HUBER)
     count = min(1.0, _COUNTED / max(1, len(loss)))
-    return count * float(loss.sum()), count * weight.numpy()
+    return count * float(loss.sum()), count * weight
 
 
 def _initial_pose(first: PosedCamera, pair: Pair) -> Doubles:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
-import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
-from torch import Tensor
 
-from matcap.brdf.cook_torrance import Reflectance
+from matcap.brdf.cook_torrance import MIN_ROUGHNESS
 from matcap.flash.highlight import Highlight
-from matcap.flash.light import FlashLight, log_vignette
+from matcap.flash.light import CORNER_SQUARED
 from matcap.flash.rectify import MOST_LEFT_OUT
 from matcap.photo.left_out import area_averaged
 from matcap.photo.photo import FULL, Photo
+
+Doubles = NDArray[np.float64]
 
 # The coarse fit's model: parameters, and log radiance of a uniform material in the camera frame.
 #
@@ -23,122 +25,203 @@ from matcap.photo.photo import FULL, Photo
 # flash/light.py,
 #
 # log L = log(a E / pi + specular(F0, r) E) - vignetting.
+#
+# In NumPy: of a few hundred points, most of PyTorch's time is spent in its calls.
 
 _DARKEST = 1e-12  # radiance added before logarithms
 _OUTSIDE = 0.1  # of the largest channel of albedo, by which the least may be below 0
 BLACK = 0.005  # diffuse albedo of a conductor over its F0
+_STEP = 1e-5  # of finite differences in unknowns, all of which are of order 1
+
+
+_ENDS = (0, 3, 4, 5, 6, 8, 10, 12, 14, 16, 17)  # of the unknowns in Unknowns.vector()
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The fitted parameters, scaled to order 1."""
+    """The fitted parameters, scaled to order 1; any leading dimensions."""
 
-    albedo: Tensor
-    """(3,) log of diffuse albedo; of a conductor, log of F0."""
-    specular: Tensor
-    """(1,) log of a dielectric's F0."""
-    roughness: Tensor
-    """(1,) logit."""
-    intensity: Tensor
-    """(1,) log of the flash's, in green."""
-    flash_colour: Tensor
-    """(2,) log of the flash's intensity in red and in blue over that."""
-    offset: Tensor
-    """(2,) of the flash from the camera, plane units."""
-    tilt: Tensor
-    """(2,) radians."""
-    vignetting: Tensor
-    """(2,) with r^2 and with r^4, as FlashSetup has them."""
-    centre: Tensor
-    """(2,) of the vignetting, image coordinates."""
-    tone: Tensor
-    """(1,) log of the tone curve's exponent."""
+    albedo: Doubles
+    """(..., 3) log of diffuse albedo; of a conductor, log of F0."""
+    specular: Doubles
+    """(..., 1) log of a dielectric's F0."""
+    roughness: Doubles
+    """(..., 1) logit."""
+    intensity: Doubles
+    """(..., 1) log of the flash's, in green."""
+    flash_colour: Doubles
+    """(..., 2) log of the flash's intensity in red and in blue over that."""
+    offset: Doubles
+    """(..., 2) of the flash from the camera, plane units."""
+    tilt: Doubles
+    """(..., 2) radians."""
+    vignetting: Doubles
+    """(..., 2) with r^2 and with r^4, as FlashSetup has them."""
+    centre: Doubles
+    """(..., 2) of the vignetting, image coordinates."""
+    tone: Doubles
+    """(..., 1) log of the tone curve's exponent."""
 
-    def vector(self) -> Tensor:
-        """(17,) all of them."""
-        return torch.cat([getattr(self, f.name) for f in fields(self)])
+    def vector(self) -> Doubles:
+        """(..., 17) all of them."""
+        return np.concatenate([getattr(self, f.name) for f in fields(self)], axis=-1)
 
     @staticmethod
-    def of(vector: Tensor) -> Unknowns:
+    def of(vector: NDArray[Any]) -> Unknowns:
         """The inverse of vector()."""
-        return Unknowns(*vector.split((3, 1, 1, 1, 2, 2, 2, 2, 2, 1)))
+        return Unknowns(*(vector[..., first:end] for first, end in pairwise(_ENDS)))
 
     @property
-    def flash(self) -> Tensor:
-        """(3,) log of the flash's intensity by channel."""
-        red, blue = (self.intensity + self.flash_colour).split(1)
-        return torch.cat([red, self.intensity, blue])
+    def flash(self) -> Doubles:
+        """(..., 3) log of the flash's intensity by channel."""
+        return self.intensity + self.flash_colour @ np.eye(3)[[0, 2]]
 
 
-COUNT = 17  # of unknowns
-INDEX = Unknowns.of(torch.arange(COUNT))  # of each unknown in vector()
+COUNT = _ENDS[-1]  # of unknowns
+INDEX = Unknowns.of(np.arange(COUNT))  # of each unknown in vector()
+# Unknowns by which a model is differentiated by finite differences.
+_GEOMETRY = np.concatenate([INDEX.roughness, INDEX.offset, INDEX.tilt])
 
 
-def numbers(*values: float) -> Tensor:
-    """A float64 vector."""
-    return torch.tensor(values, dtype=torch.float64)
+class Linear(NamedTuple):
+    """Values at n points and their Jacobian."""
+
+    value: Doubles
+    """(..., n)"""
+    by: Doubles
+    """(17, ..., n) derivatives by the unknowns."""
 
 
 def log_radiance(
-    unknowns: Unknowns, image: Tensor, distance: float, *, conductor: bool = False
-) -> tuple[Tensor, Tensor]:
+    parameters: Doubles, image: Doubles, distance: float, *, conductor: bool = False
+) -> tuple[Linear, Linear]:
     """(3, n) log radiance of the uniform material, and (n,) its diffuse share under a white flash.
 
     Args:
+        parameters: (17,) unknowns.
         image: (2, n) image coordinates.
         distance: of the camera, plane units.
         conductor: `albedo` is F0, and hardly anything is diffuse.
     """
-    normal, camera, flash = _places(unknowns, distance)
-    image = image[:, None]
-    # Points where the rays meet the tilted plane.
-    ray = torch.cat([image, torch.full_like(image[:1], -distance)])
-    along = -(normal[2] * distance) / torch.tensordot(normal, ray, dims=1)
-    points = camera[:, None, None] + along * ray
-    light = FlashLight.between(points, camera, flash, unknowns.flash.exp()[:, None, None])
-    incidence = light.onto(normal[:, None, None].expand_as(points), exact=True)
-    albedo = unknowns.albedo.exp() if conductor else signed_albedo(unknowns.albedo)
-    colour = albedo[:, None, None]
-    surface = Reflectance(
-        colour * (BLACK if conductor else 1.0),
-        colour if conductor else unknowns.specular.exp()[:, None, None],
-        torch.sigmoid(unknowns.roughness)[:, None, None],
-    )
-    lost = log_vignette(image - unknowns.centre[:, None, None], *unknowns.vignetting)
-    matte, mirrored = incidence.matte(surface.diffuse), incidence.mirrored(*surface[1:])
-    radiance = ((matte + mirrored) * incidence.irradiance).clamp_min(0.0)
-    share = matte.mean(0) / (matte + mirrored).mean(0).clamp_min(_DARKEST)
-    return ((radiance + _DARKEST).log() + lost).flatten(1), share.flatten()
+    unknowns = Unknowns.of(parameters)
+    irradiance, lobe, grazing = _light(Unknowns.of(_varied(parameters)), image, distance)
+    if conductor:
+        f0 = np.exp(unknowns.albedo)[:, None]
+        albedo, by_albedo = BLACK * f0, np.diag(BLACK * f0[:, 0])
+    else:
+        f0 = np.exp(unknowns.specular)[:, None]
+        signed, by_albedo = signed_albedo(unknowns.albedo)
+        albedo = signed[:, None]
+    # Of the point itself and of steps in _GEOMETRY: (6, 3, n).
+    matte, mirrored = albedo / math.pi, lobe * (f0 + (1.0 - f0) * grazing)
+    power = irradiance * np.exp(unknowns.flash)[:, None]
+    radiance = np.maximum((matte + mirrored) * power, 0.0)
+    log = np.log(radiance + _DARKEST)
+    by = np.zeros((COUNT, *log.shape[1:]))
+    by[_GEOMETRY] = (log[1:] - log[0]) / _STEP
+    relative = radiance[0] / (radiance[0] + _DARKEST)
+    unit = np.where(radiance[0] > 0.0, power[0], 0.0) / (radiance[0] + _DARKEST)
+    by_f0 = lobe[0] * (1.0 - grazing[0]) * f0  # of the specular part, by the log of F0
+    by[INDEX.albedo] = by_albedo.T[..., None] / math.pi * unit
+    if conductor:
+        by[INDEX.albedo] += np.eye(3)[..., None] * by_f0 * unit
+    else:
+        by[INDEX.specular] = by_f0 * unit
+    by[INDEX.intensity] = relative
+    by[INDEX.flash_colour, (0, 2)] = relative[[0, 2]]
+    reflected = np.maximum((matte + mirrored).mean(1), _DARKEST)
+    share = matte.mean() / reflected
+    share_by = np.zeros((COUNT, share.shape[1]))
+    share_by[_GEOMETRY] = (share[1:] - share[0]) / _STEP
+    if not conductor:
+        share_by[INDEX.albedo] = (by_albedo.mean(0) / math.pi)[:, None] * (
+            (1.0 - share[0]) / reflected[0]
+        )
+        share_by[INDEX.specular] = -by_f0 * share[0] / reflected[0]
+    return _vignetted(Linear(log[0], by), unknowns, image), Linear(share[0], share_by)
 
 
-def signed_albedo(log: Tensor) -> Tensor:
-    """(3,) diffuse albedo of its unknown; of a colour outside sRGB the least channel is negative.
+def _varied(parameters: Doubles) -> Doubles:
+    """(6, 17) parameters, and these with a step in each of _GEOMETRY."""
+    steps = _STEP * np.eye(COUNT)[_GEOMETRY]
+    return parameters + np.concatenate([np.zeros((1, COUNT)), steps])
 
-    A file clips it at 0 except under the highlight, where it darkens the channel. With a positive
-    one, the flash would take that colour: pink, of a blue paint.
+
+def _light(unknowns: Unknowns, image: Doubles, distance: float) -> tuple[Doubles, Doubles, Doubles]:
+    """Irradiance by a flash of intensity 1, D G / (4 (n.l)(n.v)), and (1 - l.h)^5 of Schlick.
+
+    (m, 1, n) each, of unknowns (m, ...); 0 where light or view is below the surface. The equations
+    of brdf/cook_torrance.py, of `Angles.exact`.
     """
-    positive = log.exp()
-    return positive - _OUTSIDE * (positive.max() - positive)
+    normal, camera, flash = _places(unknowns, distance)
+    # Points where the rays meet the tilted plane.
+    ray = np.stack([*image, np.full_like(image[0], -distance)])
+    along = -(normal[:, 2:] * distance) / (normal @ ray)
+    points = camera[:, None] + along[:, None] * ray
+    to_flash = flash[..., None] - points
+    squared = np.square(to_flash).sum(1, keepdims=True)
+    light = to_flash / np.sqrt(squared)
+    view = -ray / np.sqrt(np.square(ray).sum(0))
+    middle = light + view
+    length = np.sqrt(np.square(middle).sum(1, keepdims=True))
+    n_dot_l, n_dot_v = (np.maximum(normal[:, None] @ each, 0.0) for each in (light, view))
+    # |n x h|^2 by the chord |n - h|, without cancellation.
+    chord = np.square(normal[..., None] - middle / length).sum(1, keepdims=True)
+    sine_squared = chord * (1.0 - 0.25 * chord)
+    roughness = 1.0 / (1.0 + np.exp(-unknowns.roughness[..., None]))
+    alpha_squared = np.maximum(roughness, MIN_ROUGHNESS) ** 4
+    rest = 1.0 - alpha_squared
+    ggx = alpha_squared / np.square(alpha_squared + rest * sine_squared) / math.pi
+    towards_view = n_dot_l * np.sqrt(np.square(n_dot_v) * rest + alpha_squared)
+    towards_light = n_dot_v * np.sqrt(np.square(n_dot_l) * rest + alpha_squared)
+    lit = (n_dot_l > 0.0) & (n_dot_v > 0.0)
+    visibility = np.divide(0.5, towards_view + towards_light, out=np.zeros_like(ggx), where=lit)
+    return lit * n_dot_l / squared, ggx * visibility, (1.0 - 0.5 * length) ** 5
 
 
-def mirror_point(unknowns: Unknowns, distance: float) -> Tensor:
+def _vignetted(log: Linear, unknowns: Unknowns, image: Doubles) -> Linear:
+    """Log radiance (3, n) with the vignetting of flash/light.py."""
+    place = (image - unknowns.centre[:, None]) / CORNER_SQUARED
+    squared = CORNER_SQUARED * np.square(place).sum(0)
+    falloff, quartic = unknowns.vignetting
+    log.by[INDEX.vignetting] = -np.stack([squared, np.square(squared)])[:, None]
+    log.by[INDEX.centre] = 2.0 * ((falloff + 2.0 * quartic * squared) * place)[:, None]
+    return Linear(log.value - squared * (falloff + quartic * squared), log.by)
+
+
+def signed_albedo(log: Doubles) -> tuple[Doubles, Doubles]:
+    """(3,) diffuse albedo of its unknown, and (3, 3) derivatives by channel and unknown.
+
+    Of a colour outside sRGB the least channel is negative. A file clips it at 0 except under the
+    highlight, where it darkens the channel. With a positive one, the flash would take that colour:
+    pink, of a blue paint.
+    """
+    positive = np.exp(log)
+    largest = np.arange(3) == positive.argmax()
+    derivatives = np.diag((1.0 + _OUTSIDE) * positive) - _OUTSIDE * positive * largest
+    return positive - _OUTSIDE * (positive.max() - positive), derivatives
+
+
+def mirror_point(parameters: Doubles, distance: float) -> Linear:
     """(2,) image coordinates of the mirror point."""
-    normal, camera, light = _places(unknowns, distance)
-    height_camera, height_light = (normal * camera).sum(), (normal * light).sum()
-    foot_camera, foot_light = camera - height_camera * normal, light - height_light * normal
-    point = foot_camera * height_light + foot_light * height_camera
-    point = point / (height_camera + height_light)
-    return point[:2] * (distance / (distance - point[2]))
+    unknowns = Unknowns.of(_varied(parameters))
+    normal, camera, flash = _places(unknowns, distance)
+    height, flash_height = (normal @ camera)[:, None], (normal * flash).sum(-1, keepdims=True)
+    point = (camera - height * normal) * flash_height + (flash - flash_height * normal) * height
+    point = point / (height + flash_height)
+    image = point[:, :2] * (distance / (distance - point[:, 2:]))
+    by = np.zeros((COUNT, 2))
+    by[_GEOMETRY] = (image[1:] - image[0]) / _STEP
+    return Linear(image[0], by)
 
 
-def _places(unknowns: Unknowns, distance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """(3,) each, in the camera frame: the plane's normal, places of camera and flash."""
-    (sine_x, sine_y), (cosine_x, cosine_y) = unknowns.tilt.sin(), unknowns.tilt.cos()
-    normal = torch.stack(
-        [sine_y * cosine_x, -sine_x, cosine_y * cosine_x]
-    )  # setup_rotation()[:, 2]
-    camera = numbers(0.0, 0.0, distance)
-    return normal, camera, camera + F.pad(unknowns.offset, (0, 1))
+def _places(unknowns: Unknowns, distance: float) -> tuple[Doubles, Doubles, Doubles]:
+    """In the camera frame: the plane's normal (m, 3), places of camera (3,) and flash (m, 3)."""
+    (sine_x, sine_y), (cosine_x, cosine_y) = np.sin(unknowns.tilt).T, np.cos(unknowns.tilt).T
+    # setup_rotation()[:, 2]
+    normal = np.stack([sine_y * cosine_x, -sine_x, cosine_y * cosine_x], axis=-1)
+    camera = np.array([0.0, 0.0, distance])
+    return normal, camera, camera + unknowns.offset @ np.eye(2, 3)
 
 
 # The coarse fit's observations: a photograph averaged over cells, clipped ones as lower bounds.
@@ -162,15 +245,15 @@ CRUSHED = 0.02
 class CoarseCells:
     """Averages of the photograph over n cells."""
 
-    image: Tensor
+    image: Doubles
     """(2, n) image coordinates of the cells."""
-    observed: Tensor
+    observed: Doubles
     """(3, n) log radiance."""
-    toe: Tensor
+    toe: Doubles
     """(3, n) radiance added to cell and model before logarithms, as darker values are uncertain."""
-    above: Tensor
+    above: Doubles
     """(3, n) factor on the residual of a model brighter than the cell: 1, or less for a bound."""
-    weight: Tensor
+    weight: Doubles
     """(n,) weight of each cell; they sum to 1/3."""
 
     @property
@@ -178,9 +261,11 @@ class CoarseCells:
         """Whether clipped cells may hide a highlight."""
         return float(self.weight[(self.above == 0.0).all(0)].sum()) > _HIDDEN / 3.0
 
-    def differences(self, log_radiance: Tensor) -> Tensor:
+    def differences(self, log_radiance: Linear) -> Linear:
         """(3, n) log radiance of a model less that of the cells, with toe."""
-        return (log_radiance.exp() + self.toe).log() - self.observed
+        radiance = np.exp(log_radiance.value)
+        raised = radiance + self.toe
+        return Linear(np.log(raised) - self.observed, log_radiance.by * (radiance / raised))
 
 
 def cells_of(
@@ -220,10 +305,10 @@ def cells_of(
     outside = (x < left * pixel - 1.0) | (x > right * pixel - 1.0) | (y > above) | (y < below)
     if not outside.any():
         return patch
-    share = float(outside.double().mean())
+    share = float(outside.mean())
     patch = replace(patch, weight=patch.weight * max(1.0 - share, _PATCH_WEIGHT))
     pairs = ((getattr(whole, one.name), getattr(patch, one.name)) for one in fields(CoarseCells))
-    return CoarseCells(*(torch.cat([all_[..., outside], fine_], dim=-1) for all_, fine_ in pairs))
+    return CoarseCells(*(np.concatenate([all_[..., outside], fine_], -1) for all_, fine_ in pairs))
 
 
 def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int]) -> CoarseCells:
@@ -247,15 +332,15 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     image = np.stack(np.broadcast_arrays(u[None, :], v[:, None])).reshape(2, -1)
     count = size[0] * size[1]
 
-    def flat(field: NDArray[np.float64]) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(field.reshape(count, 3).T))
+    def flat(field: Doubles) -> Doubles:
+        return np.ascontiguousarray(field.reshape(count, 3).T)
 
-    weight = torch.full((count,), 1.0 / (3.0 * count), dtype=torch.float64)
+    weight = np.full(count, 1.0 / (3.0 * count))
     if photo.left_out is not None:
         part = photo.left_out[top:bottom, left:right].astype(np.float32)
         share = area_averaged(part, size).ravel()
-        kept = torch.from_numpy(share < MOST_LEFT_OUT).double()
+        kept = share < MOST_LEFT_OUT
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
     log = flat(np.log(small + toe))
-    return CoarseCells(torch.from_numpy(image), log, flat(toe), flat(above), weight)
+    return CoarseCells(image, log, flat(toe), flat(above), weight)

@@ -29,11 +29,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS
-from matcap.flash.coarse.cells import BLACK, CoarseCells, Unknowns, cells_of, numbers, signed_albedo
+from matcap.flash.coarse.cells import BLACK, CoarseCells, Doubles, Unknowns, cells_of, signed_albedo
 from matcap.flash.coarse.problem import (
     HUBER,
     TONE,
@@ -184,7 +182,7 @@ def _problem(
         distance=FlashSetup(fov=photo.fov).distance,
         measurements=measured,
         prior=mean.vector(),
-        precision=unit * torch.diag(deviation.vector().pow(-2)),
+        precision=unit * np.diag(deviation.vector() ** -2),
         unit=unit,
         shoulder=photo.development.shoulder if photo.tone_mapped else None,
         conductor=conductor,
@@ -193,7 +191,7 @@ def _problem(
 
 def _minima(
     problem: Problem, highlight: Highlight | None, tilt: tuple[float, float] | None
-) -> list[tuple[float, Tensor]]:
+) -> list[tuple[float, Doubles]]:
     """(cost, parameters) from every starting point, the least cost first."""
     initial = starts(problem, highlight, tilt_known=tilt is not None)
     minima = [problem.minimised(start, _FEW) for start in initial]
@@ -204,7 +202,7 @@ def _fitted(
     photo: Photo,
     last: Problem,
     diffuse_share: DiffuseShare | None,
-    minima: Sequence[tuple[float, Tensor]],
+    minima: Sequence[tuple[float, Doubles]],
 ) -> tuple[CoarseFit, float, float]:
     """The most probable fit on fine cells, its cost, and the cost of a nat of the prior.
 
@@ -215,13 +213,14 @@ def _fitted(
         last = last.whitened(initial[0]).with_estimated_noise(initial[0])
     if diffuse_share is not None:
         # Of a flash whose colour is free, scatter could be fitted by that alone.
-        last = replace(last, diffuse_share=diffuse_share.under(Unknowns.of(initial[0]).flash.exp()))
+        flash = np.exp(Unknowns.of(initial[0]).flash)
+        last = replace(last, diffuse_share=diffuse_share.under(flash))
     best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
-    exponent = math.exp(float(Unknowns.of(best).tone))
+    exponent = math.exp(Unknowns.of(best).tone[0])
     fit = CoarseFit(
         *_uniform(Unknowns.of(best), photo.fov, conductor=last.conductor),
-        residual=float(rest.square().mean().sqrt()) if rest.numel() else 0.0,
+        residual=math.sqrt(np.square(rest).mean()) if rest.size else 0.0,
         conductor=last.conductor,
         tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
         level_deviation=None if last.conductor else last.level_deviation(best),
@@ -229,12 +228,12 @@ def _fitted(
     return fit, last.cost(best), last.unit
 
 
-def _best(problem: Problem, tried: Sequence[Tensor]) -> Tensor:
+def _best(problem: Problem, tried: Sequence[Doubles]) -> Doubles:
     """The best parameters from several starts, the best start first."""
     distinct_starts = distinct(tried)[:_KEPT]
     if problem.cells.hidden:
         unknowns = Unknowns.of(tried[0])
-        distinct_starts.append(replace(unknowns, roughness=numbers(_MATTE)).vector())
+        distinct_starts.append(replace(unknowns, roughness=np.array([_MATTE])).vector())
     minima = [problem.minimised(each, _MANY)[1] for each in distinct_starts]
     strict = problem
     if problem.measurements is not None:
@@ -246,16 +245,16 @@ def _uniform(
     best: Unknowns, fov: float, *, conductor: bool
 ) -> tuple[tuple[float, float, float], float, float, FlashSetup]:
     """Diffuse albedo, F0, roughness and setup of fitted parameters."""
-    signed = signed_albedo(best.albedo)
-    albedo = signed.clamp_min(_DARKEST_CHANNEL * float(signed.max())).log().tolist()
-    specular = float(best.specular)
+    signed, _ = signed_albedo(best.albedo)
+    albedo = np.log(np.maximum(signed, _DARKEST_CHANNEL * signed.max())).tolist()
+    specular = float(best.specular[0])
     if conductor:
-        specular = float(best.albedo.exp().mean().log())
+        specular = math.log(np.exp(best.albedo).mean())
         albedo = (best.albedo + math.log(BLACK)).tolist()
     # Only the product with the flash's intensity is measured: limit albedo, raise the intensity.
     excess = max(0.0, max(*albedo, specular) - math.log(WHITE))
     red, green, blue = (math.exp(value - excess) for value in albedo)
-    flash_red, flash_green, flash_blue = (best.flash + excess).exp().tolist()
+    flash_red, flash_green, flash_blue = np.exp(best.flash + excess).tolist()
     across, up = best.offset.tolist()
     tilt_x, tilt_y = best.tilt.tolist()
     squared, quartic = best.vignetting.tolist()
@@ -269,7 +268,7 @@ def _uniform(
         vignetting_quartic=quartic,
         vignetting_centre=(right, above),
     )
-    roughness = 1.0 / (1.0 + math.exp(-float(best.roughness)))
+    roughness = 1.0 / (1.0 + math.exp(-best.roughness[0]))
     return (red, green, blue), math.exp(specular - excess), roughness, setup
 
 
@@ -293,14 +292,14 @@ def rescale_to_flash(coarse: CoarseFit, intensity: float | None) -> CoarseFit:
     )
 
 
-def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -> Iterable[Tensor]:
+def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -> Iterable[Doubles]:
     """Starting points whose brightness and colour already fit the photograph's median.
 
     Radiance there is about albedo / pi intensity / distance^2; a conductor's is darker, away from
     its highlight.
     """
     mean, distance = Unknowns.of(problem.prior), problem.distance
-    median = problem.cells.observed.median(dim=1).values
+    median = np.quantile(problem.cells.observed, 0.5, axis=1, method="lower")
     brightness = median.mean()
     intensity = brightness - mean.albedo[:1] + math.log(math.pi) + 2.0
     logits, places = list(_STARTS), [mean]
@@ -312,22 +311,22 @@ def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -
         u, v = highlight.centre
         tilt_x, tilt_y = mean.tilt.tolist()
         across, up = u + distance * math.tan(tilt_y), v - distance * math.tan(tilt_x)
-        shifted = replace(mean, offset=numbers(2.0 * across, 2.0 * up))
-        turned = replace(mean, tilt=numbers(v / distance, -u / distance))
+        shifted = replace(mean, offset=np.array([2.0 * across, 2.0 * up]))
+        turned = replace(mean, tilt=np.array([v, -u]) / distance)
         places = [shifted] if tilt_known else [shifted, turned]
     for place in places:
         for logit in logits:
             yield replace(
                 place,
                 albedo=mean.albedo + (median - brightness),
-                roughness=numbers(logit),
+                roughness=np.array([logit]),
                 intensity=intensity + (1.5 if problem.conductor else 0.0),
             ).vector()
 
 
-def distinct(fits: Sequence[Tensor]) -> list[Tensor]:
+def distinct(fits: Sequence[Doubles]) -> list[Doubles]:
     """Parameters, the best first, without those of nearly the same roughness as better ones."""
-    kept: list[Tensor] = []
+    kept: list[Doubles] = []
     for candidate in fits:
         roughness = _roughness(candidate)
         if all(abs(roughness - _roughness(one)) > _DISTINCT for one in kept):
@@ -335,7 +334,7 @@ def distinct(fits: Sequence[Tensor]) -> list[Tensor]:
     return kept
 
 
-def roughest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
+def roughest(fits: Sequence[tuple[float, Doubles]]) -> Doubles:
     """The roughest among fits (cost, parameters) of nearly equal cost, so that no highlight is
     invented in clipped areas.
     """
@@ -344,6 +343,6 @@ def roughest(fits: Sequence[tuple[float, Tensor]]) -> Tensor:
     return max(equal, key=_roughness)
 
 
-def _roughness(parameters: Tensor) -> float:
+def _roughness(parameters: Doubles) -> float:
     """Logit of roughness."""
-    return float(Unknowns.of(parameters).roughness)
+    return float(Unknowns.of(parameters).roughness[0])

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import NamedTuple
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
 from matcap.flash.coarse.cells import (
     COUNT,
     INDEX,
     CoarseCells,
+    Doubles,
+    Linear,
     Unknowns,
     log_radiance,
     mirror_point,
-    numbers,
 )
 from matcap.flash.diffuse_share import DiffuseRings
 from matcap.flash.highlight import SURROUNDINGS, Highlight
@@ -65,7 +64,7 @@ _PRIORS = {
     "tone": ([Development().log_exponent], [Development().deviation]),
 }
 _MEAN, _DEVIATION = (
-    Unknowns(**{name: numbers(*prior[k]) for name, prior in _PRIORS.items()}) for k in (0, 1)
+    Unknowns(**{name: np.array(prior[k]) for name, prior in _PRIORS.items()}) for k in (0, 1)
 )
 
 
@@ -83,30 +82,30 @@ class TiltPrior:
     """Their standard deviations, radians."""
 
     @property
-    def posterior(self) -> tuple[Tensor, Tensor]:
+    def posterior(self) -> tuple[Doubles, Doubles]:
         """Mean and standard deviation of its product with the distribution of tilts, (2,) each."""
-        measured = numbers(*self.std).pow(-2)
+        measured = np.power(self.std, -2.0)
         precision = measured + _TILTS**-2
-        return measured * numbers(*self.mean) / precision, precision.rsqrt()
+        return measured * np.array(self.mean) / precision, 1.0 / np.sqrt(precision)
 
 
 def priors(
     photo: Photo, tilt: tuple[float, float] | None, tilt_prior: TiltPrior | None, *, conductor: bool
 ) -> tuple[Unknowns, Unknowns]:
     """Mean and standard deviation of a photograph's parameters; arguments as of fit_coarse."""
-    mean = replace(_MEAN, tone=numbers(photo.development.log_exponent))
-    deviation = replace(_DEVIATION, tone=numbers(photo.development.deviation))
+    mean = replace(_MEAN, tone=np.array([photo.development.log_exponent]))
+    deviation = replace(_DEVIATION, tone=np.array([photo.development.deviation]))
     if conductor:
-        mean = replace(mean, albedo=numbers(*[CONDUCTOR_F0.mean] * 3))
-        deviation = replace(deviation, albedo=numbers(*[CONDUCTOR_F0.deviation] * 3))
+        mean = replace(mean, albedo=np.full(3, CONDUCTOR_F0.mean))
+        deviation = replace(deviation, albedo=np.full(3, CONDUCTOR_F0.deviation))
     # A conductor colours all that it reflects; RAW and cards are white under the flash.
     if conductor or photo.radiometric or photo.flash_intensity is not None:
-        deviation = replace(deviation, flash_colour=numbers(_FIXED, _FIXED))
+        deviation = replace(deviation, flash_colour=np.full(2, _FIXED))
     if photo.radiometric:
-        deviation = replace(deviation, tilt=numbers(_TILT_RADIOMETRIC, _TILT_RADIOMETRIC))
+        deviation = replace(deviation, tilt=np.full(2, _TILT_RADIOMETRIC))
     if tilt is not None:
-        mean = replace(mean, tilt=numbers(*tilt))
-        deviation = replace(deviation, tilt=numbers(_FIXED, _FIXED))
+        mean = replace(mean, tilt=np.array(tilt))
+        deviation = replace(deviation, tilt=np.full(2, _FIXED))
     elif tilt_prior is not None:
         place, std = tilt_prior.posterior
         mean, deviation = replace(mean, tilt=place), replace(deviation, tilt=std)
@@ -131,13 +130,12 @@ _BRIGHTENING = 0.02  # prior deviation of negative falloff, which ambient light 
 # Albedo of a white surface, and prior deviation of the logarithm beyond it.
 WHITE, _WHITER = 0.8, 0.1
 # Bounds of the parameters, and the prior's deviation beyond them.
-_LEAST, _MOST, _BEYOND = numbers(-math.inf, math.inf, math.inf)[:, None].repeat(1, COUNT)
+_LEAST, _MOST, _BEYOND = (np.full(COUNT, bound) for bound in (-np.inf, np.inf, np.inf))
 _LEAST[INDEX.vignetting], _BEYOND[INDEX.vignetting] = 0.0, _BRIGHTENING
 _MOST[INDEX.albedo], _BEYOND[INDEX.albedo] = math.log(WHITE), _WHITER
 _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of channels
 _MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
 _LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
-_STEP = 1e-5  # of finite differences in parameters, all of which are of order 1
 
 # Measurements of the highlight.
 # Weight of the seven measurements; in a RAW they only help convergence, a tone curve changes the
@@ -166,13 +164,13 @@ class HighlightMeasurements:
     weight: float = WEIGHT
 
     @cached_property
-    def image(self) -> Tensor:
+    def image(self) -> Doubles:
         """(2, 3 * directions) image coordinates: the centre, the half-width ring, outside."""
         radii = (0.0, self.highlight.width, 0.5 * sum(SURROUNDINGS))
-        centre = numbers(*self.highlight.centre)[:, None]
-        return torch.cat([centre + radius * _circle() for radius in radii], dim=1)
+        centre = np.array(self.highlight.centre)[:, None]
+        return np.concatenate([centre + radius * _circle() for radius in radii], axis=1)
 
-    def residuals(self, mirror: Tensor, log_radiance: Tensor) -> Tensor:
+    def residuals(self, mirror: Linear, log_radiance: Linear) -> Linear:
         """(7,) standardised residuals of a model.
 
         Args:
@@ -184,24 +182,33 @@ class HighlightMeasurements:
             least + share * highlight.width
             for least, share in (_CENTRE_DEVIATION, _MIDDLE_DEVIATION)
         )
-        centre = (mirror - numbers(*highlight.centre)) / centre_deviation
-        radiance = log_radiance.exp()
+        centre = (mirror.value - highlight.centre) / centre_deviation
+        radiance = np.exp(log_radiance.value)
         limit = max(self.headroom, highlight.peak)  # as the camera clips
-        light = radiance.clamp_max(limit).mean(0).log()
-        rings = light.unflatten(0, (3, _DIRECTIONS))
-        slope = math.log(highlight.contrast) / (2.0 * highlight.width)
-        middle = 2.0 * (rings[1] * _circle()).mean(1) / slope
+        light = np.minimum(radiance, limit).mean(0)
+        by = (log_radiance.by * np.where(radiance < limit, radiance, 0.0)).mean(1) / light
         half_way = 0.5 * (highlight.peak + highlight.surroundings)
-        expected = torch.tensor([highlight.peak, half_way, highlight.surroundings]).double().log()
-        radiances = (rings.mean(1) - expected) / _RADIANCE_DEVIATION
-        return torch.cat([centre, middle / middle_deviation, radiances])
+        expected = np.log([highlight.peak, half_way, highlight.surroundings])
+        slope = math.log(highlight.contrast) / (2.0 * highlight.width)
+
+        def measured(light: Doubles, expected: Doubles | float) -> Doubles:
+            """(..., 5) symmetry and levels of log light (..., 3 * directions)."""
+            rings = light.reshape(*light.shape[:-1], 3, _DIRECTIONS)
+            middle = 2.0 * (rings[..., 1:2, :] * _circle()).mean(-1) / slope
+            levels = (rings.mean(-1) - expected) / _RADIANCE_DEVIATION
+            return np.concatenate([middle / middle_deviation, levels], axis=-1)
+
+        return Linear(
+            np.concatenate([centre, measured(np.log(light), expected)]),
+            np.concatenate([mirror.by / centre_deviation, measured(by, 0.0)], axis=-1),
+        )
 
 
 @cache
-def _circle() -> Tensor:
+def _circle() -> Doubles:
     """(2, directions) unit vectors at equal angles."""
-    turn = torch.arange(_DIRECTIONS, dtype=torch.float64) * (2.0 * math.pi / _DIRECTIONS)
-    return torch.stack([turn.cos(), turn.sin()])
+    turn = np.arange(_DIRECTIONS) * (2.0 * math.pi / _DIRECTIONS)
+    return np.stack([np.cos(turn), np.sin(turn)])
 
 
 @dataclass(frozen=True)
@@ -214,38 +221,42 @@ class Problem:
     """Distance of the camera."""
     measurements: HighlightMeasurements | None
     """Measurements of the highlight, or None."""
-    prior: Tensor
-    """(n,) the prior's mean."""
-    precision: Tensor
-    """(n, n) Hessian of the prior's cost."""
+    prior: Doubles
+    """(17,) the prior's mean."""
+    precision: Doubles
+    """(17, 17) Hessian of the prior's cost."""
     unit: float
     """Cost of a nat of the prior."""
     diffuse_share: DiffuseRings | None = None
     """Colour scatter of the texture by ring, or None."""
     shoulder: float | None = None
     """Shoulder of the tone curve; None without one."""
-    whitening: Tensor | None = None
+    whitening: Doubles | None = None
     """(3, 3) of the channels of cells that no bound concerns; None for as they are."""
     conductor: bool = False
     """`albedo` of the parameters is F0, and nothing is diffuse."""
 
-    def log_radiance(self, parameters: Tensor, image: Tensor) -> tuple[Tensor, Tensor]:
+    def log_radiance(self, parameters: Doubles, image: Doubles) -> tuple[Linear, Linear]:
         """(3, n) log radiance at image coordinates (2, n), tone curve included, and (n,) its
         diffuse share.
         """
-        unknowns = Unknowns.of(parameters)
-        linear, share = log_radiance(unknowns, image, self.distance, conductor=self.conductor)
+        linear, share = log_radiance(parameters, image, self.distance, conductor=self.conductor)
         if self.shoulder is None:  # no tone curve, whatever the exponent
             return linear, share
         # The logarithm of ToneCurve.developed().
-        power = unknowns.tone.exp() * linear
-        return power - (1.0 + self.shoulder * power.expm1()).log(), share
+        exponent = math.exp(parameters[INDEX.tone[0]])
+        power = exponent * linear.value
+        curved = 1.0 + self.shoulder * np.expm1(power)
+        slope = (1.0 - self.shoulder) / curved
+        by = linear.by * (exponent * slope)
+        by[INDEX.tone] = slope * power
+        return Linear(power - np.log(curved), by), share
 
-    def differences(self, parameters: Tensor) -> Tensor:
+    def differences(self, parameters: Doubles) -> Doubles:
         """(3, n) log radiance of the model less that of the cells."""
-        return self.cells.differences(self.log_radiance(parameters, self.cells.image)[0])
+        return self.cells.differences(self.log_radiance(parameters, self.cells.image)[0]).value
 
-    def whitened(self, parameters: Tensor) -> Problem:
+    def whitened(self, parameters: Doubles) -> Problem:
         """The problem with channels whitened by the residuals at `parameters`.
 
         Light is common to all channels, texture is not: channel differences separate the two.
@@ -255,132 +266,125 @@ class Problem:
         rest = self.differences(parameters)[:, self._whole]
         return replace(self, whitening=_whitening(rest, self.cells.weight[self._whole]))
 
-    def with_estimated_noise(self, parameters: Tensor) -> Problem:
+    def with_estimated_noise(self, parameters: Doubles) -> Problem:
         """The problem with the prior's weight set from the residuals of a first fit."""
-        count = self.cells.observed.numel()
-        rest = self.residuals(parameters)[:count].clamp(-_MOST_TEXTURE, _MOST_TEXTURE)
-        variance = (self.weight[:count] * rest.square()).sum() / self.weight[:count].sum()
-        nat = float(variance) / _CELLS_THAT_COUNT
+        count = self.cells.observed.size
+        rest = self.residuals(parameters).value[:count].clip(-_MOST_TEXTURE, _MOST_TEXTURE)
+        nat = float(np.average(np.square(rest), weights=self.weight[:count])) / _CELLS_THAT_COUNT
         return replace(self, precision=self.precision * (nat / self.unit), unit=nat)
 
     @cached_property
-    def weight(self) -> Tensor:
+    def weight(self) -> Doubles:
         """(residuals,) weight of each residual."""
-        each = self.cells.weight.repeat(3)
+        each = [np.tile(self.cells.weight, 3)]
         if self.measurements is not None:
-            each = F.pad(each, (0, 7), value=self.measurements.weight)
+            each.append(np.full(7, self.measurements.weight))
         if self.diffuse_share is not None:
-            each = F.pad(each, (0, len(self.diffuse_share.log_scatter)), value=self.unit / HUBER**2)
-        return each
+            each.append(np.full(len(self.diffuse_share.log_scatter), self.unit / HUBER**2))
+        return np.concatenate(each)
 
     @cached_property
-    def _image(self) -> Tensor:
+    def _image(self) -> Doubles:
         """(2, n) image coordinates of cells, of the highlight's measurements and of rings."""
         measured = [] if self.measurements is None else [self.measurements.image]
-        rings = [] if self.diffuse_share is None else [self.diffuse_share.image.flatten(1)]
-        return torch.cat([self.cells.image, *measured, *rings], dim=1)
+        rings = [] if self.diffuse_share is None else [self.diffuse_share.image.reshape(2, -1)]
+        return np.concatenate([self.cells.image, *measured, *rings], axis=1)
 
     @cached_property
-    def _whole(self) -> Tensor:
-        """(cells,) bool, no channel is a lower bound."""
-        return (self.cells.above == 1.0).all(0)
+    def _whole(self) -> NDArray[np.bool_]:
+        """(cells,) no channel is a lower bound."""
+        return np.asarray((self.cells.above == 1.0).all(0))
 
-    def residuals(self, parameters: Tensor) -> Tensor:
+    def residuals(self, parameters: Doubles) -> Linear:
         """(residuals,) residuals at the parameters, in log radiance."""
-        cells, unknowns = self.cells, Unknowns.of(parameters)
-        everywhere, share = self.log_radiance(parameters, self._image)
+        cells = self.cells
+        (log, log_by), share = self.log_radiance(parameters, self._image)
         count = cells.image.shape[1]
-        difference = cells.differences(everywhere[:, :count])
+        difference, by = cells.differences(Linear(log[:, :count], log_by[..., :count]))
         # Of a lower bound, only a darker model has a residual.
-        bounded = torch.where(difference > 0.0, difference * cells.above, difference)
+        scale = np.where(difference > 0.0, cells.above, 1.0)
+        bounded, bounded_by = difference * scale, by * scale
         if self.whitening is not None:
-            bounded = torch.where(self._whole, self.whitening @ difference, bounded)
-        parts = [bounded.flatten()]
+            bounded = np.where(self._whole, self.whitening @ difference, bounded)
+            bounded_by = np.where(self._whole, self.whitening @ by, bounded_by)
+        parts = [Linear(bounded.ravel(), bounded_by.reshape(COUNT, -1))]
         if self.measurements is not None:
-            mirror = mirror_point(unknowns, self.distance)
+            mirror = mirror_point(parameters, self.distance)
             end = count + self.measurements.image.shape[1]
-            parts.append(HUBER * self.measurements.residuals(mirror, everywhere[:, count:end]))
+            seen = Linear(log[:, count:end], log_by[..., count:end])
+            value, by = self.measurements.residuals(mirror, seen)
+            parts.append(Linear(HUBER * value, HUBER * by))
             count = end
         if self.diffuse_share is not None:
-            rings = share[count:].unflatten(0, self.diffuse_share.image.shape[1:]).mean(1)
+            shape = self.diffuse_share.image.shape[1:]
+            rings, rings_by = (
+                each[..., count:].reshape(*each.shape[:-1], *shape).mean(-1) for each in share
+            )
             # A conductor's texture is that of its F0, which no other light veils.
-            seen = torch.ones_like(rings) if self.conductor else rings
-            parts.append(HUBER * self.diffuse_share.residuals(seen))
-        return torch.cat(parts)
+            if self.conductor:
+                rings, rings_by = np.ones_like(rings), np.zeros_like(rings_by)
+            value, by_share = self.diffuse_share.residuals(rings)
+            parts.append(Linear(HUBER * value, HUBER * rings_by @ by_share.T))
+        return Linear(*(np.concatenate(each, axis=-1) for each in zip(*parts, strict=True)))
 
-    def quadratic(self, parameters: Tensor, r: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """(n, n) Gauss-Newton Hessian of the cost and (n,) its gradient, without bounds.
+    def quadratic(self, parameters: Doubles, r: Linear | None = None) -> tuple[Doubles, Doubles]:
+        """(17, 17) Gauss-Newton Hessian of the cost and (17,) its gradient, without bounds.
 
         `r` are the residuals there, if they are known.
         """
-        r = self.residuals(parameters) if r is None else r
-        jacobian = _jacobian(self.residuals, parameters, r)
-        weight = self.weight * huber(r, HUBER)[1]
-        hessian = (jacobian * weight[:, None]).T @ jacobian + self.precision
-        return hessian, jacobian.T @ (weight * r) + self.precision @ (parameters - self.prior)
+        value, by = self.residuals(parameters) if r is None else r
+        weighted = by * (self.weight * huber(value, HUBER)[1])
+        hessian = weighted @ by.T + self.precision
+        return hessian, weighted @ value + self.precision @ (parameters - self.prior)
 
-    def level_deviation(self, parameters: Tensor) -> float:
+    def level_deviation(self, parameters: Doubles) -> float:
         """Standard deviation of log albedo over F0 of a dielectric, by Laplace's method."""
         hessian, _ = self.quadratic(parameters)
-        ratio = torch.zeros_like(parameters)
+        ratio = np.zeros(COUNT)
         ratio[INDEX.albedo], ratio[INDEX.specular] = 1.0 / 3.0, -1.0
-        return float((ratio @ torch.linalg.solve(hessian / self.unit, ratio)).sqrt())
+        return math.sqrt(ratio @ np.linalg.solve(hessian / self.unit, ratio))
 
-    def bound_excess(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
-        """(n,) each: how far parameters are beyond their bounds, and the prior's precision there.
+    def bound_excess(self, parameters: Doubles) -> tuple[Doubles, Doubles]:
+        """(17,) each: how far parameters are beyond their bounds, and the prior's precision there.
 
         Falloff is positive, and no albedo, nor F0 of a conductor, is above WHITE.
         """
-        excess = parameters - parameters.clamp(_LEAST, _MOST)
-        return excess, torch.where(excess == 0.0, 0.0, self.unit / _BEYOND.square())
+        excess = parameters - parameters.clip(_LEAST, _MOST)
+        return excess, np.where(excess == 0.0, 0.0, self.unit / np.square(_BEYOND))
 
-    def cost(self, parameters: Tensor, r: Tensor | None = None) -> float:
+    def cost(self, parameters: Doubles, r: Linear | None = None) -> float:
         """Cost at the parameters; `r` are the residuals there, if they are known."""
-        loss, _ = huber(self.residuals(parameters) if r is None else r, HUBER)
+        loss, _ = huber((self.residuals(parameters) if r is None else r).value, HUBER)
         deviation = parameters - self.prior
-        prior = 0.5 * deviation @ self.precision @ deviation
         excess, precision = self.bound_excess(parameters)
-        prior = prior + 0.5 * (excess.square() * precision).sum()
-        return float((self.weight * loss).sum() + prior)
+        prior = deviation @ self.precision @ deviation + np.square(excess) @ precision
+        return float(self.weight @ loss + 0.5 * prior)
 
-    def minimised(self, start: Tensor, iterations: int) -> tuple[float, Tensor]:
+    def minimised(self, start: Doubles, iterations: int) -> tuple[float, Doubles]:
         """(cost, parameters) after at most `iterations` Levenberg-Marquardt steps."""
-        last: tuple[Tensor, Tensor | None] = (start, None)  # parameters and their residuals
+        last: tuple[Doubles, Linear | None] = (start, None)  # parameters and their residuals
 
-        def cost(parameters: Tensor) -> float:
+        def cost(parameters: Doubles) -> float:
             nonlocal last
             last = parameters, self.residuals(parameters)
             return self.cost(*last)
 
-        def quadratic(parameters: Tensor) -> tuple[Tensor, Tensor]:
+        def quadratic(parameters: Doubles) -> tuple[Doubles, Doubles]:
             known = last[1] if last[0] is parameters else None
             normal, gradient = self.quadratic(parameters, known)
             excess, precision = self.bound_excess(parameters)
-            return normal + torch.diag(precision), gradient + precision * excess
+            return normal + np.diag(precision), gradient + precision * excess
 
         return minimised(cost, quadratic, start, iterations, farthest=1.0)
 
 
-def _whitening(residuals: Tensor, weight: Tensor) -> Tensor:
+def _whitening(residuals: Doubles, weight: Doubles) -> Doubles:
     """(3, 3) whitening of the channels of residuals (3, n), which keeps their mean variance.
 
     The direction common to all channels is only scaled, so that an unfitted light does no harm.
     """
-    share = weight / weight.sum()
-    kept = residuals.clamp(-_MOST_TEXTURE, _MOST_TEXTURE)
-    kept = kept - (kept * share).sum(1, keepdim=True)
-    covariance = (kept * share) @ kept.T
-    covariance = covariance + _COLOUR_NOISE**2 * torch.eye(3, dtype=covariance.dtype)
-    values, vectors = torch.linalg.eigh(covariance)
-    scale = (covariance.trace() / 3.0).sqrt()
-    return scale * (vectors * values.rsqrt()) @ vectors.T
-
-
-def _jacobian(residuals: Callable[[Tensor], Tensor], parameters: Tensor, here: Tensor) -> Tensor:
-    """(residuals, parameters) Jacobian by forward differences from the residuals `here`.
-
-    Accurate to 1e-5 in float64, enough for the accepted steps. Faster than `torch.func.jacfwd` for
-    few parameters, which also takes two seconds to import PyTorch's compiler.
-    """
-    steps = _STEP * torch.eye(len(parameters), dtype=parameters.dtype)
-    return (torch.vmap(residuals)(parameters + steps) - here).T / _STEP
+    kept = residuals.clip(-_MOST_TEXTURE, _MOST_TEXTURE)
+    covariance = np.cov(kept, aweights=weight, ddof=0) + _COLOUR_NOISE**2 * np.eye(3)
+    values, vectors = np.linalg.eigh(covariance)
+    scale = math.sqrt(np.trace(covariance) / 3.0)
+    return np.asarray(scale * (vectors / np.sqrt(values)) @ vectors.T)
