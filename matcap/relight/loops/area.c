@@ -120,7 +120,7 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     *sets = o[2] < level;
     /* A light behind the shading normal still lights neighbours. */
     if (nl + tilted < 0.0f) return p->vector[0] ? 1 : 0;
-    *sets |= nl < tilted;
+    if (nl < tilted && !*sets) *sets = l->radius > 0.0f ? 1 : 2;
     if (*sets || plain >= SAMPLED) return plain;
     for (int k = 0; k < 3; k++)
         h[k] = o[k] / distance + p->view[k][i], squared += h[k] * h[k];
@@ -276,7 +276,7 @@ WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *
             squared += (l->place[k] - p->point[k][i]) * (l->place[k] - p->point[k][i]);
         float fading = l->even > 0.0f ? squared * l->even : 1.0f;
         int lobe = l->specular && which != SAMPLED;
-        int fine = sets && which < SETTING ? SETTING : which;
+        int least = sets == 2 ? 4 : sets ? SETTING : 1, fine = which < least ? least : which;
         integrate(l, parted ? &l->parted[fine] : &l->plain[which], p, i, parted ? shadow : NULL,
                   lobe, fading, &s);
         for (int c = 0; c < CELLS && parted; c++) seen += shadow[c] / CELLS;

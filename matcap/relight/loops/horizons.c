@@ -5,14 +5,14 @@
 
 typedef struct {
     const float *padded; /* heights in texels, padded by `reach` */
-    const int16_t *lit;  /* CHANNELS of reflected light a texel, padded likewise, or NULL */
+    const float *lit;    /* CHANNELS of reflected light a texel, padded likewise, or NULL */
     const float *cosine, *sine;     /* of each azimuth */
     const int32_t *offset;          /* azimuths x steps: index offsets */
     const float *inverse;           /* azimuths x steps: 1 / distance */
     const int32_t *end;             /* parts: one after the last step of each */
     const float *nearest;           /* parts: 1 / least distance */
     int32_t steps, parts, columns, reach, width; /* columns: of the texture; width: padded */
-    float highest, unit;            /* largest height; reflected light of lit = 1 */
+    float highest;                  /* largest height */
 } Walk;
 
 /* Kept as a loop, which GCC vectorises; unrolled it becomes eight scalar sums. */
@@ -96,9 +96,9 @@ INLINE void receive(const Walk *w, int a, int64_t spot, const int32_t *last, Gro
         g->weight[a][k] = higher;
     }
     for (int k = 0; k < LANES; k++) {
-        const int16_t *lit = w->lit + CHANNELS * (spot + k + last[k]);
+        const float *lit = w->lit + CHANNELS * (spot + k + last[k]);
         float *restrict sum = g->sum[k];
-        for (int c = 0; c < SUMS; c++) sum[c] += share[k] * (float)lit[c];
+        for (int c = 0; c < SUMS; c++) sum[c] += share[k] * lit[c];
     }
 }
 
@@ -148,7 +148,7 @@ WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *start
             for (int a = 0; a < AZIMUTHS && tangents; a++)
                 tangents[to * AZIMUTHS + a] = g.level[a][k];
             for (int c = 0; c < CHANNELS && w->lit; c++)
-                transfer[to * CHANNELS + c] = g.sum[k][c] * w->unit;
+                transfer[to * CHANNELS + c] = g.sum[k][c];
         }
     }
 }

@@ -185,7 +185,7 @@ class CWalk(ArrayStructure):
             "padded", "lit", "cosine", "sine", "offset", "inverse", "end", "nearest",
         )),
         ("steps", Whole), ("parts", Whole), ("columns", Whole), ("reach", Whole),
-        ("width", Whole), ("highest", Real), ("unit", Real),
+        ("width", Whole), ("highest", Real),
     )  # fmt: skip
 
 
