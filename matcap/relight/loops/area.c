@@ -2,8 +2,9 @@
 
 #include "loops.h"
 
-/* SAMPLED has no rule: the lobe is sampled. SETTING: the least rule where a light sets. */
-enum { RULES = 7, SAMPLED = 7, SETTING = 5 };
+/* SAMPLED has no rule: the lobe is sampled. SETTING: the least rule where a light sets; TURNED:
+   where, with a budget, a rectangle sets behind the shading normal alone. */
+enum { RULES = 7, SAMPLED = 7, SETTING = 5, TURNED = 4 };
 
 typedef struct {
     /* Nodes of a rectangle: x, y, z in the scene. Of a sphere: height on its cap of directions,
@@ -93,7 +94,8 @@ INLINE float extent(const AreaLight *l, const float side[2][3], const float axis
     return reach;
 }
 
-/* The rule for a pixel, 0 where the light is below its horizon; `sets`: it is partly below.
+/* The rule for a pixel, 0 where the light is below its horizon; `sets`: the least rule of a
+   light that is partly below, else 0.
 
    Without `adaptive` the order follows from the light's angle over the lobe's width, wherever the
    lobe points. With it, also from the distance of the light from the lobe's peak: GGX is
@@ -106,7 +108,7 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     float angle = arctangent(l->half / larger(distance - l->half, 1e-6f));
     float needed = 3.0f + ceilf(l->density * angle / (2.0f * larger(alpha, 1e-6f)) + 6.0f * angle);
     int plain = number(l, needed);
-    *sets = 1;
+    *sets = SETTING;
     if (!adaptive) return plain;
     float n[3], up[3] = {0.0f, 0.0f, 1.0f}, side[2][3];
     to_frame(p, i, o);
@@ -117,10 +119,10 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     to_frame(p, i, side[0]), to_frame(p, i, side[1]);
     float tilted = extent(l, side, n), level = extent(l, side, up);
     if (o[2] + level < 0.0f) return 0;
-    *sets = o[2] < level;
+    *sets = o[2] < level ? SETTING : 0;
     /* A light behind the shading normal still lights neighbours. */
     if (nl + tilted < 0.0f) return p->vector[0] ? 1 : 0;
-    if (nl < tilted && !*sets) *sets = l->radius > 0.0f ? 1 : 2;
+    if (nl < tilted && !*sets) *sets = l->radius > 0.0f ? SETTING : TURNED;
     if (*sets || plain >= SAMPLED) return plain;
     for (int k = 0; k < 3; k++)
         h[k] = o[k] / distance + p->view[k][i], squared += h[k] * h[k];
@@ -276,7 +278,7 @@ WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *
             squared += (l->place[k] - p->point[k][i]) * (l->place[k] - p->point[k][i]);
         float fading = l->even > 0.0f ? squared * l->even : 1.0f;
         int lobe = l->specular && which != SAMPLED;
-        int least = sets == 2 ? 4 : sets ? SETTING : 1, fine = which < least ? least : which;
+        int fine = which < sets ? sets : which;
         integrate(l, parted ? &l->parted[fine] : &l->plain[which], p, i, parted ? shadow : NULL,
                   lobe, fading, &s);
         for (int c = 0; c < CELLS && parted; c++) seen += shadow[c] / CELLS;
