@@ -20,14 +20,7 @@ import numpy as np
 
 from matcap.relight.camera import Array
 from matcap.relight.effects import Bound
-from matcap.relight.loops.library import (
-    CHorizon,
-    CPixels,
-    KeptArrays,
-    address,
-    directions,
-    loops,
-)
+from matcap.relight.loops.library import CHorizon, CPixels, KeptArrays, address, directions, loops
 from matcap.relight.plan import SceneBounds
 
 # Tables of the specular lobe's directional albedo, computed once a process.
