@@ -9,7 +9,8 @@
 - Shadows: one ray to each point of a 4 x 4 rule gives the visible share of each of 16 parts of the
   light; the quadrature is then composite, part by part. Rays above Relief.clear_tangents are not
   cast.
-- A light that is partly below a point's horizon has a kink in its integrand: 12 x 12 points.
+- A light that is partly below a point's horizon has a kink in its integrand: 12 x 12 points; with
+  a budget 8 x 8 of a rectangle that only the shading normal turns from.
 
 Left out: a point light in the middle of the light, with its radiant intensity. Cost: 9 to 256 point
 lights.

@@ -12,13 +12,15 @@ small to see.
 from __future__ import annotations
 
 import math
+from ctypes import byref, c_int64
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
 
-from matcap.relight.camera import Array, LatticePoint, lattice
+from matcap.relight.camera import Array
 from matcap.relight.effects import Bound
+from matcap.relight.loops.library import CHorizon, CPixels, KeptArrays, address, directions, loops
 from matcap.relight.plan import SceneBounds
 
 # Tables of the specular lobe's directional albedo, computed once a process.
@@ -123,13 +125,9 @@ def _fine(table: Array) -> Array:
 def albedo() -> Albedo:
     """Compute the tables."""
     root_mu = np.linspace(0.0, 1.0, _SIZE)
-    mu = np.maximum(root_mu**2, 1e-6)[None, :]
+    mu = np.maximum(root_mu**2, 1e-4)[None, :]  # the loops' least n.v
     alpha = np.maximum(np.linspace(0.0, 1.0, _SIZE) ** 2, 1e-6)[:, None]
-    total, bias = np.zeros((2, _SIZE, _SIZE))
-    for point in lattice(_POINTS):
-        weight, cosine = _visible(mu, alpha, point)
-        total += weight
-        bias += weight * np.clip(1.0 - cosine, 0.0, 1.0) ** 5
+    total, bias = (one.reshape(_SIZE, _SIZE) for one in _lobe_albedo(mu, alpha))
     # Eavg = integral of 2 E mu dmu; with mu = x^2 that is 4 E x^3 dx.
     fine = np.linspace(0.0, 1.0, 2001)
     integrand = np.stack([np.interp(fine, root_mu, row) for row in total]) * 4.0 * fine**3
@@ -138,27 +136,27 @@ def albedo() -> Albedo:
     return Albedo(bias.astype(f), total.astype(f), np.asarray(average, dtype=f))
 
 
-def _visible(mu: Array, alpha: Array, point: LatticePoint) -> tuple[Array, Array]:
-    """G2 / G1 times the sample's weight, and v.h, of one sampled visible normal."""
-    sine = np.sqrt(np.maximum(1.0 - mu * mu, 0.0))
-    vx, vz = alpha * sine, mu
-    length = np.sqrt(vx * vx + vz * vz)
-    vx, vz = vx / length, vz / length
-    z = (1.0 - point.u) * (1.0 + vz) - vz
-    ring = np.sqrt(np.maximum(1.0 - z * z, 0.0))
-    hx, hy = alpha * (ring * point.cosine + vx), alpha * (ring * point.sine)
-    hz = np.maximum(z + vz, 1e-12)
-    length = np.sqrt(hx * hx + hy * hy + hz * hz)
-    hx, hz = hx / length, hz / length
-    cosine = sine * hx + mu * hz
-    n_dot_l = 2.0 * cosine * hz - mu
-    a2 = alpha * alpha
-    towards_view = np.sqrt(a2 + (1.0 - a2) * mu * mu)
-    safe = np.maximum(n_dot_l, 1e-12)
-    towards_light = np.sqrt(a2 + (1.0 - a2) * safe * safe)
-    # G2 = 2 nl nv / (nl Av + nv Al), G1 = 2 nv / (nv + Av).
-    ratio = safe * (mu + towards_view) / (safe * towards_view + mu * towards_light)
-    return np.where(n_dot_l > 0.0, ratio, 0.0) * point.weight, cosine
+def _lobe_albedo(mu: Array, alpha: Array) -> tuple[Array, Array]:
+    """E and its part weighted by Schlick's (1 - l.h)^5: what a surface facing downwards hides.
+
+    Under uniform radiance the ground hides all of the lobe of a normal along -z.
+    """
+    kept, count = KeptArrays(), mu.size * alpha.size
+    mu, alpha = (np.broadcast_to(one, (alpha.size, mu.size)).ravel() for one in (mu, alpha))
+    zero, which = np.zeros(count), np.arange(count, dtype=np.int32)
+    hidden = np.empty((2, count), dtype=np.float32)
+    pixels = CPixels(
+        count=count,
+        view=(kept.of(np.sqrt(1.0 - mu * mu)), kept.of(zero), kept.of(-mu)),
+        normal=(kept.of(zero), kept.of(zero), kept.of(zero - 1.0)),
+        n_dot_v=kept.of(mu),
+        alpha=kept.of(alpha),
+    )
+    loops().matcap_relight_hidden(
+        byref(pixels), byref(directions(_POINTS)), byref(CHorizon()), c_int64(count),
+        address(which), address(hidden),
+    )  # fmt: skip
+    return hidden[0] + hidden[1], hidden[1]
 
 
 def bound(limits: SceneBounds) -> Bound:

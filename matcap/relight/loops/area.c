@@ -2,8 +2,9 @@
 
 #include "loops.h"
 
-/* SAMPLED has no rule: the lobe is sampled. SETTING: the least rule where a light sets. */
-enum { RULES = 7, SAMPLED = 7, SETTING = 5 };
+/* SAMPLED has no rule: the lobe is sampled. SETTING: the least rule where a light sets; TURNED:
+   where, with a budget, a rectangle sets behind the shading normal alone. */
+enum { RULES = 7, SAMPLED = 7, SETTING = 5, TURNED = 4 };
 
 typedef struct {
     /* Nodes of a rectangle: x, y, z in the scene. Of a sphere: height on its cap of directions,
@@ -93,7 +94,8 @@ INLINE float extent(const AreaLight *l, const float side[2][3], const float axis
     return reach;
 }
 
-/* The rule for a pixel, 0 where the light is below its horizon; `sets`: it is partly below.
+/* The rule for a pixel, 0 where the light is below its horizon; `sets`: the least rule of a
+   light that is partly below, else 0.
 
    Without `adaptive` the order follows from the light's angle over the lobe's width, wherever the
    lobe points. With it, also from the distance of the light from the lobe's peak: GGX is
@@ -106,7 +108,7 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     float angle = arctangent(l->half / larger(distance - l->half, 1e-6f));
     float needed = 3.0f + ceilf(l->density * angle / (2.0f * larger(alpha, 1e-6f)) + 6.0f * angle);
     int plain = number(l, needed);
-    *sets = 1;
+    *sets = SETTING;
     if (!adaptive) return plain;
     float n[3], up[3] = {0.0f, 0.0f, 1.0f}, side[2][3];
     to_frame(p, i, o);
@@ -117,10 +119,10 @@ static int chosen(const AreaLight *l, const Pixels *p, int64_t i, int adaptive, 
     to_frame(p, i, side[0]), to_frame(p, i, side[1]);
     float tilted = extent(l, side, n), level = extent(l, side, up);
     if (o[2] + level < 0.0f) return 0;
-    *sets = o[2] < level;
+    *sets = o[2] < level ? SETTING : 0;
     /* A light behind the shading normal still lights neighbours. */
     if (nl + tilted < 0.0f) return p->vector[0] ? 1 : 0;
-    *sets |= nl < tilted;
+    if (nl < tilted && !*sets) *sets = l->radius > 0.0f ? SETTING : TURNED;
     if (*sets || plain >= SAMPLED) return plain;
     for (int k = 0; k < 3; k++)
         h[k] = o[k] / distance + p->view[k][i], squared += h[k] * h[k];
@@ -202,45 +204,58 @@ INLINE void integrate(const AreaLight *l, const Rule *r, const Pixels *p, int64_
     }
 }
 
-/* Whether a ray from a pixel, direction d, meets the light; o: from the pixel to its middle. */
-INLINE int meets(const AreaLight *l, const float o[3], const float d[3]) {
-    float along = d[0] * o[0] + d[1] * o[1] + d[2] * o[2];
-    if (l->radius > 0.0f) {
-        float x = d[1] * o[2] - d[2] * o[1], y = d[2] * o[0] - d[0] * o[2];
-        float z = d[0] * o[1] - d[1] * o[0];
-        return x * x + y * y + z * z <= l->radius * l->radius && along > 0.0f;
-    }
+/* Whether a ray from a pixel, direction d, meets a sphere, its middle at o, or a rectangle, of which
+   `axes` are across, along and normal; all in the material's frame. */
+INLINE int meets_sphere(float radius, const float o[3], const float d[3]) {
+    float x = d[1] * o[2] - d[2] * o[1], y = d[2] * o[0] - d[0] * o[2];
+    float z = d[0] * o[1] - d[1] * o[0], along = d[0] * o[0] + d[1] * o[1] + d[2] * o[2];
+    return (x * x + y * y + z * z <= radius * radius) & (along > 0.0f);
+}
+
+INLINE int meets_rectangle(float width, float height, const float axes[3][3], const float o[3],
+                           const float d[3]) {
     float facing = 0.0f, reach = 0.0f, a = 0.0f, b = 0.0f;
-    for (int k = 0; k < 3; k++) facing -= d[k] * l->normal[k], reach -= o[k] * l->normal[k];
+    for (int k = 0; k < 3; k++) facing -= d[k] * axes[2][k], reach -= o[k] * axes[2][k];
     reach /= larger(facing, 1e-6f);
     for (int k = 0; k < 3; k++) {
         float miss = d[k] * reach - o[k];
-        a += miss * l->across[k], b += miss * l->along[k];
+        a += miss * axes[0][k], b += miss * axes[1][k];
     }
-    return facing > 1e-6f && reach > 0.0f && fabsf(a) <= 0.5f * l->size[0] &&
-           fabsf(b) <= 0.5f * l->size[1];
+    float beyond = larger(fabsf(a) - 0.5f * width, fabsf(b) - 0.5f * height);
+    return (smaller(facing - 1e-6f, reach) > 0.0f) & (beyond <= 0.0f);
+}
+
+/* Weights of a lobe's samples, and those times Schlick's weight; 0 where they miss the light. */
+INLINE void look_along(const AreaLight *l, const Lattice *at, const Lobe *b, const float o[3],
+                       const float axes[3][3], int round, float *met, float *mixed) {
+    float radius = l->radius, width = l->size[0], height = l->size[1];
+    for (int k = 0; k < at->points; k++) {
+        float d[3], fresnel, spread, share = at->weight[k];
+        share *= mirrored(b, at->u[k], at->cosine[k], at->sine[k], d, &fresnel, &spread);
+        int meets = round ? meets_sphere(radius, o, d)
+                          : meets_rectangle(width, height, axes, o, d);
+        met[k] = (d[2] > 0.0f) & meets ? share : 0.0f;
+        mixed[k] = met[k] * fresnel;
+    }
 }
 
 /* Adds the specular lobe by sampling visible normals, for a light too large for any rule. */
-static void sampled(const AreaLight *l, const Lattice *at, const Pixels *p, int64_t i,
-                    float seen) {
+INLINE void sampled(const AreaLight *l, const Lattice *at, const Pixels *p, int64_t i, float seen) {
     Lobe b = lobe_of(p, i);
-    float o[3], plain = 0.0f, mixed = 0.0f;
-    for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i];
-    for (int k = 0; k < at->points; k++) {
-        float d[3], fresnel, spread;
-        float weight =
-            mirrored(&b, at->u[k], at->cosine[k], at->sine[k], d, &fresnel, &spread);
-        if (!(d[2] > 0.0f) || weight * at->weight[k] == 0.0f) continue;
-        float x = d[0], y = d[1], z = d[2];
-        for (int c = 0; c < 3 && p->frame[0]; c++)
-            d[c] = x * p->frame[c][i] + y * p->frame[3 + c][i] + z * p->frame[6 + c][i];
-        if (!meets(l, o, d)) continue;
-        weight *= at->weight[k] * seen;
-        mixed += weight * fresnel, plain += weight - weight * fresnel;
+    float o[3], axes[3][3], met[POINTS], mixed[POINTS];
+    for (int k = 0; k < 3; k++) {
+        o[k] = l->place[k] - p->point[k][i];
+        axes[0][k] = l->across[k], axes[1][k] = l->along[k], axes[2][k] = l->normal[k];
     }
+    to_frame(p, i, o);
+    for (int k = 0; k < 3; k++) to_frame(p, i, axes[k]);
+    if (l->radius > 0.0f)
+        look_along(l, at, &b, o, axes, 1, met, mixed);
+    else
+        look_along(l, at, &b, o, axes, 0, met, mixed);
+    float all = total(met, at->points) * seen, grazing = total(mixed, at->points) * seen;
     for (int c = 0; c < 3; c++)
-        p->total[c][i] += (p->specular[c][i] * plain + mixed) * l->colour[c];
+        p->total[c][i] += (p->specular[c][i] * (all - grazing) + grazing) * l->colour[c];
 }
 
 /* Adds an area light. field: casts shadows, or NULL. ran: bit 0 where the light was integrated,
@@ -263,7 +278,7 @@ WIDE void matcap_relight_area(const Pixels *p, const AreaLight *l, const Field *
             squared += (l->place[k] - p->point[k][i]) * (l->place[k] - p->point[k][i]);
         float fading = l->even > 0.0f ? squared * l->even : 1.0f;
         int lobe = l->specular && which != SAMPLED;
-        int fine = sets && which < SETTING ? SETTING : which;
+        int fine = which < sets ? sets : which;
         integrate(l, parted ? &l->parted[fine] : &l->plain[which], p, i, parted ? shadow : NULL,
                   lobe, fading, &s);
         for (int c = 0; c < CELLS && parted; c++) seen += shadow[c] / CELLS;

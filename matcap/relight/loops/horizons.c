@@ -5,13 +5,12 @@
 
 typedef struct {
     const float *padded; /* heights in texels, padded by `reach` */
-    const float *lit;    /* CHANNELS planes of reflected light, padded likewise, or NULL */
+    const float *lit;    /* CHANNELS of reflected light a texel, padded likewise, or NULL */
     const float *cosine, *sine;     /* of each azimuth */
-    const int32_t *offset, *middle; /* index offsets: azimuths x steps, azimuths x parts */
+    const int32_t *offset;          /* azimuths x steps: index offsets */
     const float *inverse;           /* azimuths x steps: 1 / distance */
     const int32_t *end;             /* parts: one after the last step of each */
     const float *nearest;           /* parts: 1 / least distance */
-    int64_t plane;                  /* floats in a padded plane */
     int32_t steps, parts, columns, reach, width; /* columns: of the texture; width: padded */
     float highest;                  /* largest height */
 } Walk;
@@ -23,10 +22,13 @@ typedef struct {
 #define EACH_LANE(k) for (int k = 0; k < LANES; k++)
 #endif
 
+/* Channels added at once, whole vectors: those beyond CHANNELS are of the next texel, and unused. */
+enum { SUMS = 2 * LANES };
+
 typedef struct {
     float own[LANES], nz[LANES];
     float level[AZIMUTHS][LANES], side[AZIMUTHS][LANES], weight[AZIMUTHS][LANES];
-    float faced[LANES], sum[CHANNELS][LANES];
+    float faced[LANES], sum[LANES][SUMS];
 } Group;
 
 /* Integral of (n.w) cos(e) over elevations e from 0 to atan(tangent), at one azimuth. */
@@ -38,8 +40,8 @@ INLINE float strip(float tangent, float side, float nz) {
 /* Initial horizon along each azimuth: the texel's own slope. */
 INLINE void begin(const Walk *w, const float *at, Group *g) {
     EACH_LANE(k) g->faced[k] = 0.0f;
-    for (int c = 0; c < CHANNELS; c++)
-        EACH_LANE(k) g->sum[c][k] = 0.0f;
+    for (int k = 0; k < LANES; k++)
+        for (int c = 0; c < SUMS; c++) g->sum[k][c] = 0.0f;
     for (int a = 0; a < AZIMUTHS; a++)
         EACH_LANE(k) {
             float sx = 0.5f * (at[k + 1] - at[k - 1]);
@@ -53,11 +55,12 @@ INLINE void begin(const Walk *w, const float *at, Group *g) {
         }
 }
 
-/* Raises an azimuth's horizons by the steps of a part; returns whether any rose. */
-INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
+/* Raises an azimuth's horizons by the steps of a part; returns whether any rose. last, unless NULL:
+   offset of the step that raised each. */
+INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g, int32_t *last) {
     const int32_t *offset = w->offset + a * w->steps;
     const float *inverse = w->inverse + a * w->steps;
-    float level[LANES];
+    float level[LANES], most[LANES] = {0};
     int changed = 0;
     EACH_LANE(k) level[k] = g->level[a][k];
     int first = part ? w->end[part - 1] : 0;
@@ -72,6 +75,10 @@ INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
         }
         EACH_LANE(k) {
             float rise = (there[k] - g->own[k]) * near;
+            if (last) {
+                last[k] = rise - level[k] > most[k] ? offset[step] : last[k];
+                most[k] = larger(most[k], rise - level[k]);
+            }
             level[k] = rise > level[k] ? rise : level[k];
         }
     }
@@ -80,21 +87,24 @@ INLINE int rose(const Walk *w, int part, int a, const float *at, Group *g) {
     return changed;
 }
 
-/* Adds the light of the strip between old and new horizons. */
-INLINE void receive(const Walk *w, int part, int a, int64_t spot, Group *g) {
+/* Adds the light of the strips between old and new horizons, from the texels that raised them. */
+INLINE void receive(const Walk *w, int a, int64_t spot, const int32_t *last, Group *g) {
     float share[LANES];
     EACH_LANE(k) {
         float higher = strip(g->level[a][k], g->side[a][k], g->nz[k]);
         share[k] = higher - g->weight[a][k];
         g->weight[a][k] = higher;
     }
-    const float *lit = w->lit + spot + w->middle[a * w->parts + part];
-    for (int c = 0; c < CHANNELS; c++, lit += w->plane)
-        EACH_LANE(k) g->sum[c][k] += share[k] * lit[k];
+    for (int k = 0; k < LANES; k++) {
+        const float *lit = w->lit + CHANNELS * (spot + k + last[k]);
+        float *restrict sum = g->sum[k];
+        for (int c = 0; c < SUMS; c++) sum[c] += share[k] * lit[c];
+    }
 }
 
 /* Walks outwards from a group until nothing farther could rise above its horizons. */
 INLINE void walk(const Walk *w, const float *at, int64_t spot, Group *g) {
+    int32_t last[LANES] = {0};
     for (int part = 0, more = 1; part < w->parts && more; part++) {
         more = 0;
         for (int a = 0; a < AZIMUTHS; a++) {
@@ -103,7 +113,10 @@ INLINE void walk(const Walk *w, const float *at, int64_t spot, Group *g) {
                 could |= (w->highest - g->own[k]) * w->nearest[part] > g->level[a][k];
             if (!could) continue;
             more = 1;
-            if (rose(w, part, a, at, g) && w->lit) receive(w, part, a, spot, g);
+            if (!w->lit)
+                rose(w, part, a, at, g, NULL);
+            else if (rose(w, part, a, at, g, last))
+                receive(w, a, spot, last, g);
         }
     }
 }
@@ -135,7 +148,7 @@ WIDE void matcap_relight_walk(const Walk *w, int64_t count, const int32_t *start
             for (int a = 0; a < AZIMUTHS && tangents; a++)
                 tangents[to * AZIMUTHS + a] = g.level[a][k];
             for (int c = 0; c < CHANNELS && w->lit; c++)
-                transfer[to * CHANNELS + c] = g.sum[c][k];
+                transfer[to * CHANNELS + c] = g.sum[k][c];
         }
     }
 }

@@ -14,7 +14,7 @@ from matcap.files.process import find_library, not_built
 from matcap.relight.camera import Array, lattice
 
 # As in loops.h.
-_FORM = 4
+_FORM = 5
 LANES, CHANNELS, AZIMUTHS = 8, 9, 16
 
 Pointer, Whole, Real = ctypes.c_void_p, ctypes.c_int32, ctypes.c_float
@@ -182,10 +182,9 @@ class CWalk(ArrayStructure):
 
     _fields_ = (
         *((name, Pointer) for name in (
-            "padded", "lit", "cosine", "sine", "offset", "middle", "inverse", "end", "nearest",
+            "padded", "lit", "cosine", "sine", "offset", "inverse", "end", "nearest",
         )),
-        ("plane", ctypes.c_int64), ("steps", Whole), ("parts", Whole), ("columns", Whole),
-        ("reach", Whole),
+        ("steps", Whole), ("parts", Whole), ("columns", Whole), ("reach", Whole),
         ("width", Whole), ("highest", Real),
     )  # fmt: skip
 
