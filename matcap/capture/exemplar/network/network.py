@@ -240,7 +240,7 @@ class Inverse(nn.Module):
         return coarser, gain, height
 
     def _merge(self, index: int) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Weights of a level, of what is enlarged, and bias, of the convolution that merges both."""
+        """Weights of a level and of what is enlarged, and bias, of the convolution of both."""
         merge, width = self.merge[index], self.config.widths[index]
         assert isinstance(merge, nn.Conv2d)
         return merge.weight[:, :width], merge.weight[:, width:], merge.bias
@@ -255,7 +255,7 @@ class Inverse(nn.Module):
         # A convolution of features and inputs, without a copy of both side by side.
         weight = self.fine.weight
         told = F.conv2d(inputs[:, :, first:last], weight[:, -INPUTS:], self.fine.bias, padding=1)
-        total = None
+        total: Tensor | None = None
         for x, (down, across) in zip(finest, shifts, strict=True):
             low, high = max(0, first // 2 - 1), last // 2 + 2  # cells
             features = F.pixel_shuffle(self.head(x[:, :, low:high]), 2)
@@ -263,6 +263,7 @@ class Inverse(nn.Module):
             fine = _from(fine, (first - 2 * low + down, across), told.shape[-2:]) + told
             fine = F.leaky_relu(fine, _SLOPE, inplace=True)
             total = fine if total is None else total.add_(fine)
+        assert total is not None
         answer: Tensor = self.out(total / len(shifts))
         return answer[:, :, top - first : bottom - first]
 
