@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.field.plane import Rectangle
+from matcap.photo.developed import light
 from matcap.photo.photo import SHOULDER, WITH_GAIN_MAP, Development, ToneCurve
 from matcap.space.tuned import TunedDecoder
 from stable.edges.swept import Domain, Swept
@@ -54,6 +56,7 @@ def capture_array(
     Raises:
         MatcapError: it is refused.
     """
+    light(Path(name), pixels, 1.0, ())  # refuses what readers of files refuse
     photo = photo_from_array(
         pixels, long_side=settings.detail, fov=FOV, radiometric=True, name=name
     )
