@@ -13,13 +13,12 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
+from importlib import import_module
 from typing import Annotated, TextIO
 
 import typer
-from typer.core import TyperCommand
 
-from matcap.cli import capture, doctor, inspect, relight, synth
 from matcap.cli.options import ALL, PlainCommand
 from matcap.errors import ExitCode, MatcapError
 from matcap.files.names import MAKER, Note
@@ -27,31 +26,41 @@ from matcap.files.process import ignore_signals, keep_memory, raise_on_signals
 
 _REPORT = "please report it with the output of the same command under MATCAP_DEBUG=1"
 
-app = typer.Typer(
-    name="matcap",
-    help="One phone flash photograph in, an endless generator of SVBRDF maps out. After Henzler, "
-    'Deschaintre, Mitra and Ritschel 2021, "Generative Modelling of BRDF Textures from Flash '
-    'Images": their generator is --generator decoder; the default rearranges the maps of the '
-    "photographed rectangle (docs/guide/paper.md).",
-    epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 nothing succeeded, "
-    "4 some inputs failed, 130 interrupted.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
-app.command("capture")(capture.capture)
-app.command("batch")(capture.batch)
-app.command("inspect")(inspect.inspect)
-app.command("synth", cls=synth.SynthCommand)(synth.synth)
-app.command("relight")(relight.relight)
-app.command("export")(synth.export)
-app.command("view")(relight.view)
-app.command("blend")(synth.blend)
-app.command("sample")(synth.sample)
-app.command("doctor")(doctor.doctor)
-for _command in app.registered_commands:
-    _command.cls = PlainCommand if _command.cls is TyperCommand else _command.cls
-    _command.context_settings = {"help_option_names": ["--help", ALL]}
+# Module of each command, whose function has its name. All of them take a fifth of a second to load.
+_COMMANDS = {
+    "capture": "capture", "batch": "capture", "inspect": "inspect", "synth": "synth",
+    "relight": "relight", "export": "synth", "view": "relight", "blend": "synth",
+    "sample": "synth", "doctor": "doctor",
+}  # fmt: skip
+
+
+@cache
+def command_line(*names: str) -> typer.Typer:
+    """The command line with these commands alone, or all of them."""
+    program = typer.Typer(
+        name="matcap",
+        help="One phone flash photograph in, an endless generator of SVBRDF maps out. After "
+        'Henzler, Deschaintre, Mitra and Ritschel 2021, "Generative Modelling of BRDF Textures '
+        'from Flash Images": their generator is --generator decoder; the default rearranges the '
+        "maps of the photographed rectangle (docs/guide/paper.md).",
+        epilog="Exit codes: 0 done, 1 internal error, 2 wrong usage, 3 nothing succeeded, "
+        "4 some inputs failed, 130 interrupted.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="rich",
+    )
+    program.callback()(_matcap)
+    for name in names or _COMMANDS:
+        module = import_module(f"matcap.cli.{_COMMANDS[name]}")
+        kind = module.SynthCommand if name == "synth" else PlainCommand
+        settings = {"help_option_names": ["--help", ALL]}
+        program.command(name, cls=kind, context_settings=settings)(getattr(module, name))
+    return program
+
+
+def _named(arguments: Sequence[str]) -> Sequence[str]:
+    """The command that arguments begin with, if they do."""
+    return [name for name in arguments[:1] if name in _COMMANDS]
 
 
 def _print_version(wanted: bool) -> None:
@@ -70,7 +79,6 @@ def _print_cost(start: float) -> None:
     typer.echo(cost, err=True)
 
 
-@app.callback()
 def _matcap(
     context: typer.Context,
     version: Annotated[
@@ -108,7 +116,8 @@ def main(
     warnings.showwarning = partial(_show_warning, quiet=bool({"-q", "--quiet"} & {*arguments}))
     debug = "--debug" in arguments or os.environ.get("MATCAP_DEBUG", "0") not in ("", "0")
     try:
-        (program or app)(args=arguments, prog_name=program.info.name if program else "matcap")
+        program = program or command_line(*_named(arguments))
+        program(args=arguments, prog_name=program.info.name)
     except SystemExit as stop:
         if isinstance(getattr(stop.__context__, "__cause__", None), KeyboardInterrupt):
             return _end_early()  # as typer does for one that no command handled
@@ -148,6 +157,7 @@ def run(program: typer.Typer | None = None) -> None:
     # NumPy's matrices are small here: on a shared machine its threads spin twenty times as long as
     # they compute.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    program = program or command_line(*_named(sys.argv[1:]))  # before signals are errors
     keep_memory()  # before large libraries are imported: this process is matcap's own
     came = raise_on_signals()
     code = main(program=program, interrupted=came)

@@ -92,6 +92,8 @@ class PlainCommand(TyperCommand):
                 param.metavar = ""
             if isinstance(param, TyperOption) and ALL in param.opts:
                 param.hidden = True  # the epilogue says it
+            if isinstance(param, TyperOption) and not (param.required or param.multiple):
+                param.process_value = _unless_absent(param.process_value)
         return params
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
@@ -116,6 +118,15 @@ class PlainCommand(TyperCommand):
         order = sorted(range(len(panels)), key=lambda at: GROUPS.index(panels[at]))
         self.params = [self.params[at] for at in order]
         super().format_help(ctx, formatter)
+
+
+def _unless_absent(process: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Processing of an option's value that leaves None as it is.
+
+    Typer would build a validator of each option, which takes a sixth of a second for all of one
+    command.
+    """
+    return lambda context, value: None if value is None else process(context, value)
 
 
 def files_read(*given: Path | None) -> list[Path]:

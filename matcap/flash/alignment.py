@@ -58,7 +58,8 @@ def convergence(pixels: Grey) -> Tensor:
         pixels: (H, W, 3), linear.
     """
     texture = _texture(pixels)
-    if min(texture.shape) < _LEAST_SIDE:
+    # Slopes that are not finite would have OpenCV reflect places at infinity, for hours.
+    if min(texture.shape) < _LEAST_SIDE or not np.isfinite(texture).all():
         return torch.tensor(ESTIMATES * [[0.0, 0.0, _MOST, _MOST]])
     slope, estimates = np.zeros(2), []
     for oriented, blurs in enumerate(_BLURS):

@@ -203,7 +203,7 @@ def write_map(path: Path, kind: str, texels: Assembly, wrap: str) -> None:
             spec = oiio.ImageSpec(*size, channels, "half" if depth.itemsize == 2 else "float")
             spec.channelnames = tuple("RGB" if channels == 3 else "Y")
             spec.tile_width = spec.tile_height = _TILE
-            spec.attribute("compression", "zip")
+            spec.attribute("compression", "zip:1")  # 2 % larger than the default, a third faster
             spec.attribute("DateTime", "")  # else the time of writing
             spec.attribute("chromaticities", "float[8]", REC709)
             if wrap:

@@ -18,7 +18,7 @@ from materials import a_material
 
 import matcap as package
 from matcap.cli import main as main_module
-from matcap.cli.main import app
+from matcap.cli.main import command_line
 from matcap.errors import MatcapError, UsageError
 from matcap.files import settings as values
 
@@ -48,13 +48,25 @@ def test_help_takes_at_most_three_times_the_import_of_numpy():
 
 
 @pytest.mark.parametrize(
-    ("module", "needed"),
-    [("matcap", ""), ("matcap.cli.main", ""), ("matcap.batch.run", "cv2 safetensors numpy")],
+    ("work", "needed"),
+    [
+        ("import matcap", ""),
+        ("from matcap.cli.main import command_line; command_line()", ""),
+        ("import matcap.batch.run", "cv2 safetensors numpy"),
+    ],
 )
-def test_nothing_heavy_is_imported(module, needed):
-    code = f"import sys, {module}; print(*[m for m in {HEAVY} if m in sys.modules])"
+def test_nothing_heavy_is_imported(work, needed):
+    code = f"import sys; {work}; print(*[m for m in {HEAVY} if m in sys.modules])"
     found = run(code=code)
     assert (found.returncode, found.stdout.strip()) == (0, needed)
+
+
+def test_a_command_loads_no_module_of_another():
+    shown = "print({'matcap.cli.capture', 'matcap.cli.relight'} & {*sys.modules})"
+    found = run(
+        "synth", "no.matcap", code=f"import sys; from matcap.cli.main import main; main(); {shown}"
+    )
+    assert found.stdout == "set()\n"
 
 
 def test_the_console_script_is_installed():
@@ -118,7 +130,7 @@ def failing(monkeypatch):
         def fail(*args, **kwargs):
             raise failure
 
-        monkeypatch.setattr(main_module, "app", fail)
+        monkeypatch.setattr(main_module, "command_line", fail)
 
     return install
 
@@ -180,7 +192,7 @@ def leaves(command, words=()):
         yield from leaves(one, (*words, name))
 
 
-LEAVES = dict(leaves(typer.main.get_command(app)))
+LEAVES = dict(leaves(typer.main.get_command(command_line())))
 # What only looks prints its results in any case.
 TALKING = {"doctor", "inspect"}
 

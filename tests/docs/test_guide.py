@@ -21,7 +21,7 @@ import matcap as package
 from matcap.batch.samples import read_settings
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.settings import DRAWING_STAGES, EXEMPLAR_STAGES, CaptureSettings
-from matcap.cli.main import app, main
+from matcap.cli.main import command_line, main
 from matcap.photo.load import load_photo
 from matcap.relight.render import EFFECTS, Effect
 from matcap.relight.scenefile import parse_scene
@@ -101,7 +101,7 @@ def toml(page: str) -> list[str]:
 
 
 SHOWN = sorted({line: str(p.relative_to(ROOT)) for p in PAGES for line in commands(p)}.items())
-COMMAND = typer.main.get_command(app)
+COMMAND = typer.main.get_command(command_line())
 
 
 @pytest.mark.parametrize(("line", "page"), SHOWN)

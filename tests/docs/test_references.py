@@ -24,7 +24,7 @@ from safetensors import safe_open
 
 from matcap.brdf.folder import MapSetInfo, write_mapset
 from matcap.brdf.stated import SPECULAR_CHANNELS
-from matcap.cli.main import app, main
+from matcap.cli.main import command_line, main
 from matcap.errors import ExitCode
 from matcap.example.example import Example
 from matcap.example.exemplar import CHANNELS, Exemplar
@@ -69,7 +69,7 @@ def parsers(command, name="matcap"):
 
 PARSERS = [
     (name, parser)
-    for name, parser in parsers(typer.main.get_command(app))
+    for name, parser in parsers(typer.main.get_command(command_line()))
     if name == "matcap" or not hasattr(parser, "commands")
 ]
 

@@ -121,3 +121,9 @@ def test_uneven_brightness_alone_gives_no_tilt():
 def test_a_narrow_strip_gives_no_tilt(rows):
     strip = np.random.default_rng(0).random((rows, 4096 if rows < 3 else 256, 3), np.float32)
     assert convergence(strip)[:, :2].abs().max() == 0.0 and convergence(strip)[:, 2:].min() > 0.3
+
+
+def test_a_picture_that_is_not_finite_has_no_slope():
+    picture = plane((0.0, 0.0), check).copy()
+    picture[5, 7] = np.nan
+    assert convergence(picture)[:, 2:].min() > 0.3

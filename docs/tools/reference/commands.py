@@ -87,14 +87,14 @@ class Parameter:
 
 def page() -> str:
     """The page, in Markdown."""
-    from matcap.cli.main import app
+    from matcap.cli.main import command_line
 
-    callback = app.registered_callback
+    callback = command_line().registered_callback
     assert callback is not None
     assert callback.callback is not None
-    about = f"{app.info.help}\n\n{app.info.epilog}"
+    about = f"{command_line().info.help}\n\n{command_line().info.epilog}"
     parts = [_HEAD, _section("matcap", callback.callback, about=about, group=True)]
-    parts += [_section(name, function) for name, function in _commands(app, "matcap")]
+    parts += [_section(name, function) for name, function in _commands(command_line(), "matcap")]
     return "\n".join(parts)
 
 

@@ -88,8 +88,6 @@ def _ways() -> dict[str, Way]:
         for count in (2, 3, 5, 9):
             options = ("--detail", f"{detail}", "--together")
             ways[f"{detail} texels, {count} photographs"] = Way("several", options, count)
-    for seconds in (10, 20, 40, 60):
-        ways[f"--time {seconds}s"] = Way("time", ("--time", f"{seconds}s"))
     for steps in (0, 32, 112, 160):
         options = ("--generator", "decoder", "--steps", f"{steps}")
         ways[f"decoder, {steps} steps"] = Way("decoder", options)
@@ -105,9 +103,12 @@ USUAL = tuple(name for name, way in WAYS.items() if way.group != "detail")
 
 
 def preset_ways() -> Mapping[str, str]:
-    """Names of the presets by equivalent configuration, for the bench's photographs."""
+    """Names of the presets by equivalent configuration, for the bench's photographs.
+
+    Only of those that make no decoder beside the exemplar.
+    """
     named: dict[str, str] = {}
-    for name in PRESETS:
+    for name in (name for name, effort in PRESETS.items() if not effort.decoder_steps):
         way = f"{CaptureSettings(preset=name).detail_of(_CAMERA.width)} texels"
         named[way] = f"{named[way]}, {name}" if way in named else name
     return named
@@ -123,7 +124,7 @@ PRESENTATION = Presentation(
     "texels at three scales; *filters*: by random filters, statistics of the kind that decoders "
     "are fitted to. Seconds of the processor and memory are of the whole command, libraries "
     "included, on one thread; *clock*: wall time, meaningless while other programs ran. A "
-    "configuration measured on fewer materials is given by its ratio to `standard` on the same "
+    "configuration measured on fewer materials is given by its ratio to `draft` on the same "
     "ones; *over seeds*: standard deviation between seeds, its mean over materials.",
     ("seconds", "field"),
     BASE,

@@ -285,7 +285,7 @@ def fronts(
         bool, typer.Option("--list", help="Print points and materials, and exit.")
     ] = False,
 ) -> None:
-    """Error, seconds and memory of captures, over work, photographs, detail, time and generators.
+    """Error, seconds and memory of captures, over work, photographs, detail and generators.
 
     Simulates phone photographs of materials with known truth, runs `matcap capture` on them and
     compares its output with other true samples. Rows measured by another version of matcap are

@@ -20,7 +20,7 @@ WIDTH, HEIGHT = 96, 72
 REFUSED = {
     "black": "black",
     "white": "white",
-    "gain 1e-6": "black",
+    "gain 1e-6": "white is 1",
     "gain 1e6": "white",
     "one NaN": "NaN or infinite",
     "one infinity": "NaN or infinite",

@@ -38,7 +38,7 @@ from matcap.capture.exemplar.predict import _shift_averaged, confidence_of, map_
 from matcap.capture.exemplar.refine import narrowed
 from matcap.capture.rectified import Observation, Rectified, lit, network_input, seen_share
 from matcap.capture.settings import CaptureClock
-from matcap.cli.main import app
+from matcap.cli.main import command_line
 from matcap.errors import MatcapError, UsageError
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material
@@ -380,7 +380,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     codes = (srgb_encode(linear.clip(0.0, 1.0))[..., ::-1] * 65535).astype(np.uint16)
     cv2.imwrite(str(photo), codes)
     result = CliRunner().invoke(
-        app,
+        command_line(),
         ["capture", str(photo), "-o", str(out), "--preset", "instant", "--size", "64x64",
          "--detail", "320", "--aligned", "--generator", "example", "-q"],
     )  # fmt: skip

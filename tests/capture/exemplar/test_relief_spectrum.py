@@ -28,7 +28,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     split,
 )
 from matcap.capture.rectified import Observation
-from matcap.cli.main import app
+from matcap.cli.main import command_line
 from matcap.files.color import srgb_encode
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.rectify import read_plane
@@ -192,7 +192,7 @@ def _shot(width: int, height: int) -> tuple[np.ndarray, float]:
 
 def _inspected(path: Path, linear: np.ndarray, *options: str) -> str:
     cv2.imwrite(str(path), (srgb_encode(linear)[..., ::-1] * 65535).astype(np.uint16))
-    said = CliRunner().invoke(app, ["inspect", str(path), *options])
+    said = CliRunner().invoke(command_line(), ["inspect", str(path), *options])
     assert said.exit_code == 0, said.output
     return said.stdout
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,11 +22,12 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.field.plane import Rectangle
-from matcap.photo.photo import SHOULDER, ToneCurve
+from matcap.photo.developed import light
+from matcap.photo.photo import SHOULDER, WITH_GAIN_MAP, Development, ToneCurve
 from matcap.space.tuned import TunedDecoder
 from stable.edges.swept import Domain, Swept
 from stable.photographs import FOV, HARD_PHOTOGRAPHS
-from stable.wholes import HARD_SETS, PARTS, capture_part, capture_set
+from stable.wholes import HARD_SETS, PARTS, capture_bracket, capture_part, capture_set
 
 _MAPS = ("diffuse", "specular", "roughness", "height", "normal")
 _FIELD = 64  # texels a side of what is read by example
@@ -36,16 +38,25 @@ _SMALL, _LARGE, _FINE = (128, 96), (384, 288), (1152, 864)
 _SHARES = (0.70, 0.24, 0.06)  # of the draws by these sizes
 _STEPS = 3
 _PHONE = ToneCurve(1.4, SHOULDER)
+_HEADROOM = 4.5  # light over white of a base with gain map, 2.2 stops
 
 
 def capture_array(
-    pixels: NDArray[np.float32], settings: CaptureSettings, name: str, *, developed: bool = False
+    pixels: NDArray[np.float32],
+    settings: CaptureSettings,
+    name: str,
+    *,
+    developed: bool = False,
+    headroom: float = 1.0,
 ) -> CaptureResult:
     """Capture a picture given as an array, as a RAW or with a tone curve.
+
+    With headroom its light reaches above white, and a developed one is a base with gain map.
 
     Raises:
         MatcapError: it is refused.
     """
+    light(Path(name), pixels, 1.0, ())  # refuses what readers of files refuse
     photo = photo_from_array(
         pixels, long_side=settings.detail, fov=FOV, radiometric=True, name=name
     )
@@ -53,7 +64,9 @@ def capture_array(
         # Beyond the clip level in proportion, as ToneCurve.linear reads it: a file of floats.
         within, beyond = np.minimum(photo.pixels, 1.0), np.maximum(photo.pixels, 1.0)
         pixels = _PHONE.developed(within) * beyond
-        photo = replace(photo, radiometric=False, tone=None, pixels=pixels)
+        curve = Development() if headroom == 1.0 else WITH_GAIN_MAP
+        photo = replace(photo, radiometric=False, tone=None, pixels=pixels, development=curve)
+    photo = replace(photo, pixels=photo.pixels * np.float32(headroom), headroom=headroom)
     return capture_photo(photo, settings)
 
 
@@ -71,7 +84,7 @@ def finite(result: CaptureResult) -> bool:
     numbers = [*material.setup.offset, *material.setup.tilt, *material.setup.intensity]
     if result.estimate is not None:
         tensors += _piece(result.estimate, result.settings.seed)
-        numbers += [result.estimate.error, result.estimate.slow]
+        numbers.append(result.estimate.error)
     return (
         all(bool(torch.isfinite(tensor).all()) for tensor in tensors)
         and bool(np.isfinite(result.rerendered).all())
@@ -111,8 +124,9 @@ def photographs(name: str) -> Domain:
             )
         pixels = HARD_PHOTOGRAPHS[name](width, height, seed)
         pixels = np.ascontiguousarray(np.rot90(pixels, -1)) if turned else pixels
-        result = capture_array(pixels, asked, name, developed=developed)
-        where = f"seed {seed}, {by}, {width} across"
+        headroom = _HEADROOM if g.random() < 0.3 else 1.0
+        result = capture_array(pixels, asked, name, developed=developed, headroom=headroom)
+        where = f"seed {seed}, {by}, {width} across, white at {1.0 / headroom:.2g}"
         return _swept(result, where + ", developed" * developed + ", portrait" * turned)
 
     return captured
@@ -121,6 +135,12 @@ def photographs(name: str) -> Domain:
 def sets(name: str) -> Domain:
     """A set of HARD_SETS."""
     return _whole(lambda w, h, asked: capture_set(HARD_SETS[name](w, h, asked.seed), asked, name))
+
+
+def brackets(name: str) -> Domain:
+    """A photograph of HARD_PHOTOGRAPHS merged with its darker exposures."""
+    hard = HARD_PHOTOGRAPHS[name]
+    return _whole(lambda w, h, asked: capture_bracket(hard(w, h, asked.seed), asked, name))
 
 
 def parts(name: str) -> Domain:

@@ -14,7 +14,7 @@ from stable.edges import exporting, relief, scenes, shading
 from stable.edges.swept import Domain, Swept, sweep
 from stable.photographs import HARD_PHOTOGRAPHS
 from stable.reflectance import CASES, reflected, rendered
-from stable.wholes import HARD_SETS, PARTS
+from stable.wholes import BRACKETED, HARD_SETS, PARTS
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ def _even(domains: Mapping[str, Domain], measure: str = "") -> Mapping[str, Entr
     return {name: Entry(one, 1.0 / len(domains), measure) for name, one in domains.items()}
 
 
-_WHOLES = {f"set: {name}": captures.sets(name) for name in HARD_SETS} | {
-    f"part: {name}": captures.parts(name) for name in PARTS
-}
+_WHOLES = {f"set: {name}": captures.sets(name) for name in HARD_SETS}
+_WHOLES |= {f"part: {name}": captures.parts(name) for name in PARTS}
+_WHOLES |= {f"bracket: {name}": captures.brackets(name) for name in BRACKETED}
 DOMAINS: Mapping[str, Mapping[str, Entry]] = {
     "reflectance": _even(
         {name: reflected(case) for name, case in CASES.items()}
@@ -83,7 +83,7 @@ DOMAINS: Mapping[str, Mapping[str, Entry]] = {
 }
 # Draws of each group: of a night, and of a few minutes.
 USUAL = {"reflectance": 10_000_000, "photographs": 500, "sets": 300, "relighting": 10_000_000}
-QUICK = {"reflectance": 100_000, "photographs": 36, "sets": 31, "relighting": 200_000}
+QUICK = {"reflectance": 100_000, "photographs": 37, "sets": 36, "relighting": 200_000}
 # Processor seconds that one call may take: the exemplar of 1152 texels, of six photographs.
 LONGEST = {"reflectance": 10.0, "photographs": 60.0, "sets": 120.0, "relighting": 10.0}
 
@@ -91,8 +91,11 @@ LONGEST = {"reflectance": 10.0, "photographs": 60.0, "sets": 120.0, "relighting"
 def stability_experiment(group: str, draws: int, seed: int) -> Experiment[Entry, Swept]:
     """So many draws of a group, over all its domains."""
 
+    order = list(DOMAINS[group].values())
+
     def swept(entry: Entry, _seed: int) -> Swept:
-        return sweep(entry.domain, max(1, round(entry.share * draws)), seed)
+        # Each domain draws its own, or the first photograph of all kinds would be of one size.
+        return sweep(entry.domain, max(1, round(entry.share * draws)), [seed, order.index(entry)])
 
     def prepared(entry: Entry) -> Callable[[], Entry]:
         return lambda: entry

@@ -172,6 +172,7 @@ HARD_PHOTOGRAPHS: Mapping[str, Hard] = MappingProxyType(
         "coloured gloss on white": _made(diffuse=0.8, specular=(0.0, 0.2, 0.9), roughness=0.2),
         "half of it gold": _half_metal,
         "perfect diffuser": _made(diffuse=0.9, specular=0.0, roughness=1.0),
+        "veiled by a wide lobe": _made(diffuse=0.02, roughness=0.7),
         "black albedo": _made(diffuse=0.0, specular=0.04),
         "tilted by 35 degrees": _made(tilt=(0.6, 0.0)),
         "tilted by 50 degrees twice": _made(tilt=(0.6, -0.6)),

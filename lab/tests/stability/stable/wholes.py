@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -18,6 +19,7 @@ import numpy as np
 from arrays import photo_from_array
 from numpy.typing import NDArray
 
+from matcap.capture.bracket import merge_bracket
 from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
@@ -29,9 +31,11 @@ Set = Callable[[int, int, int], list[Pixels]]
 Mask = NDArray[np.uint8]
 
 
-def views(width: int, height: int, seed: int, count: int = 3) -> list[Pixels]:
+def views(
+    width: int, height: int, seed: int, count: int = 3, of: str = "an ordinary one"
+) -> list[Pixels]:
     """A picture, and how it looks moved by up to a fifth, turned and leaning a little."""
-    first, rng = textured(width, height, seed), np.random.default_rng(seed)
+    first, rng = HARD_PHOTOGRAPHS[of](width, height, seed), np.random.default_rng(seed)
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
     seen = [first]
     for _ in range(count - 1):
@@ -69,8 +73,8 @@ def _nan(pixels: Pixels, _seed: int) -> Pixels:
 HARD_SETS: Mapping[str, Set] = MappingProxyType(
     {
         "an ordinary one": views,
-        "two": lambda width, height, seed: views(width, height, seed, 2),
-        "six": lambda width, height, seed: views(width, height, seed, 6),
+        "two": partial(views, count=2),
+        "six": partial(views, count=6),
         "the same one three times": _all("an ordinary one"),
         "grey": _all("grey"),
         "noise alone": _all("noise alone"),
@@ -79,6 +83,7 @@ HARD_SETS: Mapping[str, Set] = MappingProxyType(
         "mirror": _all("mirror"),
         "gold": _all("gold"),
         "half of it gold": _all("half of it gold"),
+        "two reflectances, six": partial(views, count=6, of="half of it gold"),
         "one of another material": _last(
             lambda pixels, seed: textured(*pixels.shape[1::-1], seed + 1000, diffuse=0.1)
         ),
@@ -91,6 +96,10 @@ HARD_SETS: Mapping[str, Set] = MappingProxyType(
         "one blurred": _last(lambda pixels, _: cv2.GaussianBlur(pixels, (0, 0), 9.0)),
     }
 )
+
+
+# Photographs that are merged with exposures of a quarter and a sixteenth.
+BRACKETED = ("an ordinary one", "left half clipped", "mirror", "half of it gold", "noise alone")
 
 
 @dataclass(frozen=True)
@@ -144,6 +153,21 @@ def capture_set(pictures: list[Pixels], settings: CaptureSettings, name: str) ->
         for number, pixels in enumerate(pictures)
     )
     return capture_photo(first, settings, others=others)
+
+
+def capture_bracket(pixels: Pixels, settings: CaptureSettings, name: str) -> CaptureResult:
+    """Capture three exposures from one place, of which only the darkest clips nowhere.
+
+    Raises:
+        MatcapError: they are refused.
+    """
+    exposures = (2.0, 0.5, 0.125)
+    photos = (
+        photo_from_array(np.minimum(k * pixels, 1.0), fov=FOV, radiometric=True, name=name)
+        for k in exposures
+    )
+    merged = [replace(photo, exposure=k) for photo, k in zip(photos, exposures, strict=True)]
+    return capture_photo(merge_bracket(merged), settings)
 
 
 def capture_part(pixels: Pixels, part: Part, settings: CaptureSettings, name: str) -> CaptureResult:

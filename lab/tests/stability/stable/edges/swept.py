@@ -51,7 +51,7 @@ class Swept:
 Domain = Callable[[np.random.Generator], Swept]
 
 
-def sweep(domain: Domain, draws: int, seed: int) -> Swept:
+def sweep(domain: Domain, draws: int, seed: int | list[int]) -> Swept:
     """Call a domain until it has drawn so many values; warnings of NumPy's are bugs, too."""
     generator = np.random.default_rng(seed)
     found = Swept()
