@@ -41,7 +41,6 @@ from matcap.flash.light import DARKEST
 # uncertain maps.
 _DOUBTED = (0.3, 0.6, 0.6, 0.15)
 _NOISY = 0.3  # noise of log radiance at which confidence is 1/e: the lowest codes of a JPEG
-_SHIFTS = ((0, 0), (0, 1), (1, 0), (1, 1))  # texels, of the network's grid of 2 x 2
 _DIFFUSE = 0.5  # diffuse share of light from which on albedo counts in full
 
 
@@ -147,14 +146,23 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
     """
     height, width = inputs.shape[-2:]
     multiple = network.config.multiple
-    right, below = -width % multiple, -height % multiple
+    right, below = multiple - 1, multiple - 1
     mode = "reflect" if multiple < min(height, width) else "replicate"
-    whole = inputs[None].contiguous(memory_format=torch.channels_last)
+    whole = F.pad(inputs[None], (1, right, 1, below), mode=mode)
     del inputs  # half a hundred megabytes, and the largest need of a capture is next
-    if right or below:
-        whole = F.pad(whole, (0, right, 0, below), mode=mode)
-    answer: Tensor = network(whole, _SHIFTS)
-    return answer[0, :, :height, :width]
+    whole = whole.contiguous(memory_format=torch.channels_last)
+
+    def shifted(down: int, across: int) -> Tensor:
+        needed = height + down, width + across
+        rows, columns = (-(-side // multiple) * multiple for side in needed)
+        part = whole[:, :, 1 - down :, 1 - across :][..., :rows, :columns]
+        answer: Tensor = network(part.contiguous(memory_format=torch.channels_last))
+        return answer[0, :, down : down + height, across : across + width]
+
+    total = shifted(0, 0) + 0.0
+    for down, across in ((0, 1), (1, 0), (1, 1)):
+        total += shifted(down, across)
+    return total / 4.0
 
 
 # Specular tint of metal: F0 over the mean of its channels.

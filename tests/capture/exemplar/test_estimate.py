@@ -220,31 +220,6 @@ def test_predictions_have_no_grid_of_two_texels():
         assert mesh < 0.1 * before
 
 
-def test_four_shifts_share_the_coarser_levels_and_are_as_good_as_four_evaluations() -> None:
-    plane, uniform, _ = _plane()
-    inputs = Observation.of(plane, uniform).inputs.stacked()
-    network, calls = load_inverse(), []
-    hooks = [
-        network.down[level].register_forward_hook(lambda *_, level=level: calls.append(level))
-        for level in (0, 1)
-    ]
-    with torch.no_grad():
-        read = _shift_averaged(network, inputs)
-        for hook in hooks:
-            hook.remove()
-        assert sorted(calls) == [0, 0, 0, 0, 1]
-        moved = torch.nn.functional.pad(inputs[None], (1, 31, 1, 31), mode="reflect")
-        height, width = inputs.shape[-2:]
-        each = []
-        for y, x in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            part = moved[..., 1 - y :, 1 - x :][..., : height + 32 * y, : width + 32 * x]
-            each.append(network(part)[0, :, y : y + height, x : x + width])
-    inner, mean = (..., slice(8, -8), slice(8, -8)), torch.stack(each).mean(0)
-    for channel in range(6):
-        off, alone = ((p - mean)[inner][channel].diff(dim=-1).std() for p in (read, each[0]))
-        assert float(off) < 0.5 * float(alone)
-
-
 def _generator(seed):
     return torch.Generator().manual_seed(seed)
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -36,14 +35,13 @@ _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
 _GROUPS = 4  # of GroupNorm
-_STRIP, _HALO = 128, 2  # rows of a strip, and beyond it that its last convolution reads
+_STRIP, _HALO = 64, 2  # rows at half the resolution of a strip, and beyond it that it reads
 
 # File of the network: weights in half precision, and a model card.
 FORMAT = "matcap-inverse"
 VERSION = 2  # of the file
 SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
-Shift = tuple[int, int]
 _REMEDY = "install matcap again, or give another file"
 
 
@@ -179,93 +177,61 @@ class Inverse(nn.Module):
             assert self.out.bias is not None
             self.out.bias[-1] = _SELDOM_METAL
 
-    def forward(self, inputs: Tensor, shifts: Sequence[Shift] = ((0, 0),)) -> Tensor:
+    def forward(self, inputs: Tensor) -> Tensor:
         """Predict the maps of a batch of photographs.
 
         Args:
             inputs: (B, INPUTS, H, W), sides multiples of config.multiple.
-            shifts: of the grid of 2 x 2 texels, up and to the left by 0 or 1 texel, (0, 0) first;
-                the prediction is their mean. Levels below the finest are evaluated for the first.
 
         Returns:
             (B, ANSWERS, H, W), to be split by NetworkAnswer.from_stacked.
         """
-        parts, size = NetworkInputs.from_stacked(inputs), inputs.shape[-2:]
-        weight, bias = _of_texels(self.stem.weight), self.stem.bias
-        finest = [
-            self.down[0](F.conv2d(inputs, weight, bias, 2, (2 + down, 2 + across)))
-            for down, across in shifts
-        ]
-        coarser, gain, height = self._coarser(finest[0], _weightings(parts))
-        coarser, height = F.pad(coarser, (1, 1, 1, 1), mode="replicate"), _doubled(height)
-        for index, shift in enumerate(shifts):
-            x = F.conv2d(finest[index], self._merge(0)[0])
-            finest[index] = x = self.up[0](torch.addcmul(_moved(coarser, shift), x, gain))
-            height = height + _from(_doubled(self.heights[0](x)), shift, size) / len(shifts)
-        # Full resolution takes most of the memory: by strips of rows, each with all that it reads.
-        rows = range(0, size[0], _STRIP)
-        answer = torch.cat([self._fine(finest, inputs, shifts, top) for top in rows], dim=2)
-        # Albedo is predicted relative to the photograph's log radiance over the uniform material.
-        answer[:, ALBEDO] += parts.log
-        answer[:, _HEIGHT] += height
-        return answer
-
-    def _coarser(self, finest: Tensor, weights: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What all levels but the finest tell it, of its features (B, C, H / 2, W / 2).
-
-        Args:
-            finest: the features.
-            weights: (B, _WEIGHTINGS, H, W) of the context's means.
-
-        Returns:
-            A summand of the features and the factor of its own; height of H / 2 x W / 2 texels.
-        """
-        x, levels, context = finest, [], 0.0
+        parts = NetworkInputs.from_stacked(inputs)
+        weights = _weightings(parts)
+        x = F.conv2d(inputs, _of_texels(self.stem.weight), self.stem.bias, stride=2, padding=2)
+        levels, context = [], 0.0
         for index, (block, pooled) in enumerate(zip(self.down, self.pooled, strict=True)):
-            x = block(F.avg_pool2d(x, 2)) if index else x
+            if index:
+                x = F.avg_pool2d(x, 2)
             weights = F.avg_pool2d(weights, 2)
+            x = block(x)
             levels.append(x)
             context = context + pooled(_means(x, weights))
-        context, height = self.context(context), torch.zeros_like(x[:, :1])
+        context = self.context(context)
+        height: Tensor | None = None
         for index in reversed(range(len(levels) - 1)):
             # A 1 x 1 convolution of the level and of what is enlarged; enlarged after it.
-            of_level, of_coarser, bias = self._merge(index)
+            merge, width = self.merge[index], self.config.widths[index]
+            assert isinstance(merge, nn.Conv2d)
+            coarser = _doubled(F.conv2d(x, merge.weight[:, width:], merge.bias))
+            x = F.conv2d(levels[index], merge.weight[:, :width]).add_(coarser)
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
-            coarser, gain = _doubled(F.conv2d(x, of_coarser, bias)), 1.0 + scale
-            coarser, height = torch.addcmul(shift, coarser, gain), _doubled(height)
-            if index:
-                x = self.up[index](torch.addcmul(coarser, F.conv2d(levels[index], of_level), gain))
-                # Heights are proportional to the wavelength at equal slope.
-                height = height + self.heights[index](x) * 2.0**index
-        return coarser, gain, height
+            x = self.up[index](torch.addcmul(shift, x, 1.0 + scale))
+            # Heights are proportional to the wavelength at equal slope.
+            here = self.heights[index](x) * 2.0**index
+            height = here if height is None else here + _doubled(height)
+        assert height is not None
+        # Full resolution takes most of the memory: by strips of rows, each with all that it reads.
+        rows, answers = x.shape[-2], []
+        for top in range(0, rows, _STRIP):
+            first, last = max(0, top - _HALO), min(rows, top + _STRIP + _HALO)
+            answer = self._fine(x[:, :, first:last], inputs[:, :, 2 * first : 2 * last])
+            kept = slice(2 * (top - first), 2 * (min(top + _STRIP, rows) - first))
+            answers.append(answer[:, :, kept])
+        answer = torch.cat(answers, dim=2)
+        # Albedo is predicted relative to the photograph's log radiance over the uniform material.
+        answer[:, ALBEDO] += parts.log
+        answer[:, _HEIGHT] += _doubled(height)
+        return answer
 
-    def _merge(self, index: int) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Weights of a level and of what is enlarged, and bias, of the convolution of both."""
-        merge, width = self.merge[index], self.config.widths[index]
-        assert isinstance(merge, nn.Conv2d)
-        return merge.weight[:, :width], merge.weight[:, width:], merge.bias
-
-    def _fine(
-        self, finest: Sequence[Tensor], inputs: Tensor, shifts: Sequence[Shift], top: int
-    ) -> Tensor:
-        """(B, ANSWERS, _STRIP, W) rows from `top` on, of features by shift and the inputs."""
-        height, width = inputs.shape[-2:]
-        bottom = min(top + _STRIP, height)
-        first, last = max(0, top - _HALO), min(height, bottom + _HALO)
+    def _fine(self, x: Tensor, inputs: Tensor) -> Tensor:
+        """(B, ANSWERS, H, W) of features at half the resolution, and inputs."""
         # A convolution of features and inputs, without a copy of both side by side.
-        weight = self.fine.weight
-        told = F.conv2d(inputs[:, :, first:last], weight[:, -INPUTS:], self.fine.bias, padding=1)
-        total: Tensor | None = None
-        for x, (down, across) in zip(finest, shifts, strict=True):
-            low, high = max(0, first // 2 - 1), last // 2 + 2  # cells
-            features = F.pixel_shuffle(self.head(x[:, :, low:high]), 2)
-            fine = F.conv2d(features, weight[:, :-INPUTS], padding=1)
-            fine = _from(fine, (first - 2 * low + down, across), told.shape[-2:]) + told
-            fine = F.leaky_relu(fine, _SLOPE, inplace=True)
-            total = fine if total is None else total.add_(fine)
-        assert total is not None
-        answer: Tensor = self.out(total / len(shifts))
-        return answer[:, :, top - first : bottom - first]
+        weight, features = self.fine.weight, F.pixel_shuffle(self.head(x), 2)
+        fine = F.conv2d(features, weight[:, :-INPUTS], self.fine.bias, padding=1)
+        fine = fine.add_(F.conv2d(inputs, weight[:, -INPUTS:], padding=1))
+        answer: Tensor = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
+        return answer
 
 
 class _ResidualBlock(nn.Module):
@@ -290,18 +256,6 @@ class _ResidualBlock(nn.Module):
 def _doubled(planes: Tensor) -> Tensor:
     """(B, C, 2 H, 2 W) bilinear enlargement."""
     return F.interpolate(planes, scale_factor=2.0, mode="bilinear", align_corners=False)
-
-
-def _from(planes: Tensor, start: Shift, size: Sequence[int]) -> Tensor:
-    """(..., *size) of planes (..., H, W), from row and column `start` on."""
-    return planes[..., start[0] : start[0] + size[0], start[1] : start[1] + size[1]]
-
-
-def _moved(padded: Tensor, shift: Shift) -> Tensor:
-    """(B, C, H + down, W + across) of planes padded by 1, half a texel up, to the left, or both."""
-    down, across = shift
-    rows = padded[..., :-1, :].lerp(padded[..., 1:, :], 0.5) if down else padded[..., 1:-1, :]
-    return rows[..., :-1].lerp(rows[..., 1:], 0.5) if across else rows[..., 1:-1]
 
 
 def _of_texels(weight: Tensor) -> Tensor:
