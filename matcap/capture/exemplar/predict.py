@@ -156,7 +156,7 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
         needed = height + down, width + across
         rows, columns = (-(-side // multiple) * multiple for side in needed)
         part = whole[:, :, 1 - down :, 1 - across :][..., :rows, :columns]
-        answer: Tensor = network(part.contiguous(memory_format=torch.channels_last))
+        answer: Tensor = network(part)
         return answer[0, :, down : down + height, across : across + width]
 
     total = shifted(0, 0) + 0.0

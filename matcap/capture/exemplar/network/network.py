@@ -199,26 +199,28 @@ class Inverse(nn.Module):
             context = context + pooled(_means(x, weights))
         context = self.context(context)
         height: Tensor | None = None
-        for index in reversed(range(len(levels) - 1)):
+        levels.pop()  # each is freed once it is used, as all of a level's size are many
+        for index in reversed(range(len(levels))):
             # A 1 x 1 convolution of the level and of what is enlarged; enlarged after it.
             merge, width = self.merge[index], self.config.widths[index]
             assert isinstance(merge, nn.Conv2d)
-            coarser = _doubled(F.conv2d(x, merge.weight[:, width:], merge.bias))
-            x = F.conv2d(levels[index], merge.weight[:, :width]).add_(coarser)
+            x = _doubled(F.conv2d(x, merge.weight[:, width:], merge.bias))
+            x = x.add_(F.conv2d(levels.pop(), merge.weight[:, :width]))
             scale, shift = self.modulation[index](context)[..., None, None].chunk(2, dim=1)
-            x = self.up[index](torch.addcmul(shift, x, 1.0 + scale))
+            x = torch.addcmul(shift, x, 1.0 + scale)
+            x = self.up[index](x)
             # Heights are proportional to the wavelength at equal slope.
             here = self.heights[index](x) * 2.0**index
             height = here if height is None else here + _doubled(height)
         assert height is not None
         # Full resolution takes most of the memory: by strips of rows, each with all that it reads.
-        rows, answers = x.shape[-2], []
+        rows = x.shape[-2]
+        answer = x.new_empty(len(x), ANSWERS, 2 * rows, 2 * x.shape[-1])
         for top in range(0, rows, _STRIP):
             first, last = max(0, top - _HALO), min(rows, top + _STRIP + _HALO)
-            answer = self._fine(x[:, :, first:last], inputs[:, :, 2 * first : 2 * last])
-            kept = slice(2 * (top - first), 2 * (min(top + _STRIP, rows) - first))
-            answers.append(answer[:, :, kept])
-        answer = torch.cat(answers, dim=2)
+            fine = self._fine(x[:, :, first:last], inputs[:, :, 2 * first : 2 * last])
+            end = min(top + _STRIP, rows)
+            answer[:, :, 2 * top : 2 * end] = fine[:, :, 2 * (top - first) : 2 * (end - first)]
         # Albedo is predicted relative to the photograph's log radiance over the uniform material.
         answer[:, ALBEDO] += parts.log
         answer[:, _HEIGHT] += _doubled(height)
