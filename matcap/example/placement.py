@@ -356,36 +356,47 @@ def evenly_sharp(exemplar: Exemplar) -> Exemplar:
     def blurred(plane: Floats, deviation: float) -> Floats:
         return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation), np.float32)
 
+    seen = exemplar.confidence.max(axis=0) > 0.0
+    if not seen.any():
+        return exemplar
+
+    def logarithm(plane: Floats) -> Floats:
+        """With the mean of what is seen where nothing is, which would else shine through."""
+        log = np.log(plane.clip(_DARKEST))
+        return np.asarray(np.where(seen, log, log[seen].mean()), np.float32)
+
     wide, high = exemplar.size
     size = -(-wide // _SQUARE), -(-high // _SQUARE)
     grey = exemplar.diffuse.mean(axis=0) + exemplar.specular.mean(axis=0)
-    softer = [np.log(grey.clip(_DARKEST))]
+    softer = [logarithm(grey)]
     softer += [blurred(softer[0], deviation) for deviation in (*_BLURS, *_COARSE)]
     energies = [
         blurred(cv2.resize(np.square(fine - soft), size, interpolation=cv2.INTER_AREA), 1.5)
         for fine, soft in pairwise(softer)
     ]
     *finer, _, coarse = (0.5 * np.log(energy + 1e-9) for energy in energies)
-    known = cv2.resize(exemplar.confidence.max(axis=0), size, interpolation=cv2.INTER_AREA) > 0.0
+    known = np.asarray(
+        cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.0
+    )
     features = np.stack([octave - coarse for octave in finer]).astype(np.float64)
-    trends = _trend(features, np.asarray(known), _INDEPENDENT / _SQUARE)
+    trends = _trend(features, known, _INDEPENDENT / _SQUARE)
     gains = [
         (np.sqrt(np.exp(2.0 * trend[known]).mean()) * np.exp(-trend)).clip(1.0 / _GAIN, _GAIN)
         for trend in trends
     ]
-    if not known.any() or np.ptp(gains) < _LEAST_GAIN:
+    if np.ptp(gains) < _LEAST_GAIN:
         return exemplar
     gains = [cv2.resize(gain.astype(np.float32), (wide, high)) for gain in gains]
 
     def evened(planes: Floats) -> Floats:
         if not np.ptp(planes):
             return planes
-        logs = np.log(planes.clip(_DARKEST))
+        logs = np.stack([logarithm(plane) for plane in planes])
         for log in logs:
             octaves = [log.copy(), *(blurred(log, deviation) for deviation in _BLURS)]
             for gain, (fine, soft) in zip(gains, pairwise(octaves), strict=True):
                 log += (gain - 1.0) * (fine - soft)
-        return np.where(planes > _DARKEST, np.exp(logs).clip(0.0, 1.0), planes)
+        return np.where(seen & (planes > _DARKEST), np.exp(logs).clip(0.0, 1.0), planes)
 
     return replace(exemplar, diffuse=evened(exemplar.diffuse), specular=evened(exemplar.specular))
 
