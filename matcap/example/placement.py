@@ -6,12 +6,14 @@ near each other both show is added to the cost of the later one, by its area and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.candidates import COST_BITS, SLOPES, Frame
+from matcap.example.exemplar import Exemplar
 from matcap.example.library import Hashes, Integers, Positions, draw, hash_places
 
 # Placement of patches; docs/notes/field.md.
@@ -263,6 +265,11 @@ _SLOPE, _MOST = 0.5, 60.0  # departure beyond those at which the penalty is larg
 # trend of contrast counts half: where relief shows less, it is the material's albedo that varies.
 _FAINT = 0.005
 _THINNED = 8  # squares between the places that are compared
+# Standard deviations of the blurs between octaves whose sharpness is evened, and around the one
+# that they are compared with, texels; side of the squares of their local energies; largest gain,
+# and range of gains that is worth a change.
+_BLURS, _COARSE = (1.0, 2.0), (4.0, 8.0)
+_SQUARE, _GAIN, _LEAST_GAIN = 16, 1.6, 0.1
 
 Floats = NDArray[np.float32]
 
@@ -332,6 +339,66 @@ def _local_features(planes: Floats, shape: tuple[int, ...]) -> NDArray[np.float6
         contrast = 0.5 * np.log(total) * share / (share + _FAINT)
         features += [contrast, (xx - yy) / total, 2.0 * xy / total]
     return np.stack(features).astype(np.float64)
+
+
+# The photograph's sharpness has a trend as well: lenses are soft towards the corners, and a phone
+# is held askew. Blur lowers fine octaves relative to coarse ones; veins and stains vary them all.
+
+
+def evenly_sharp(exemplar: Exemplar) -> Exemplar:
+    """An exemplar whose reflectance has no trend of sharpness.
+
+    Of octaves b of log reflectance between Gaussian blurs, with local energies e_b, the trend of
+    log sqrt(e_b / e_coarse) is divided out of the finer ones, by gains that keep their energy.
+    """
+    import cv2  # takes a tenth of a second, which synthesis is spared
+
+    def blurred(plane: Floats, deviation: float) -> Floats:
+        return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation), np.float32)
+
+    seen = exemplar.confidence.max(axis=0) > 0.0
+    if not seen.any():
+        return exemplar
+
+    def logarithm(plane: Floats) -> Floats:
+        """With the mean of what is seen where nothing is, which would else shine through."""
+        log = np.log(plane.clip(_DARKEST))
+        return np.asarray(np.where(seen, log, log[seen].mean()), np.float32)
+
+    wide, high = exemplar.size
+    size = -(-wide // _SQUARE), -(-high // _SQUARE)
+    grey = exemplar.diffuse.mean(axis=0) + exemplar.specular.mean(axis=0)
+    softer = [logarithm(grey)]
+    softer += [blurred(softer[0], deviation) for deviation in (*_BLURS, *_COARSE)]
+    energies = [
+        blurred(cv2.resize(np.square(fine - soft), size, interpolation=cv2.INTER_AREA), 1.5)
+        for fine, soft in pairwise(softer)
+    ]
+    *finer, _, coarse = (0.5 * np.log(energy + 1e-9) for energy in energies)
+    known = np.asarray(
+        cv2.resize(seen.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.0
+    )
+    features = np.stack([octave - coarse for octave in finer]).astype(np.float64)
+    trends = _trend(features, known, _INDEPENDENT / _SQUARE)
+    gains = [
+        (np.sqrt(np.exp(2.0 * trend[known]).mean()) * np.exp(-trend)).clip(1.0 / _GAIN, _GAIN)
+        for trend in trends
+    ]
+    if np.ptp(gains) < _LEAST_GAIN:
+        return exemplar
+    gains = [cv2.resize(gain.astype(np.float32), (wide, high)) for gain in gains]
+
+    def evened(planes: Floats) -> Floats:
+        if not np.ptp(planes):
+            return planes
+        logs = np.stack([logarithm(plane) for plane in planes])
+        for log in logs:
+            octaves = [log.copy(), *(blurred(log, deviation) for deviation in _BLURS)]
+            for gain, (fine, soft) in zip(gains, pairwise(octaves), strict=True):
+                log += (gain - 1.0) * (fine - soft)
+        return np.where(seen & (planes > _DARKEST), np.exp(logs).clip(0.0, 1.0), planes)
+
+    return replace(exemplar, diffuse=evened(exemplar.diffuse), specular=evened(exemplar.specular))
 
 
 def _trend(

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from exemplars import an_example, exemplar
 
+from matcap.capture.exemplar.estimate import indexed
 from matcap.example.candidates import Frame, planes_of
 from matcap.example.example import Example
 from matcap.example.index import PENALTY_BITS, prepare
 from matcap.example.placement import (
     PatchNumbers,
     Placement,
+    evenly_sharp,
     reuse_cost,
     spread_patches,
     trend_penalty,
@@ -96,6 +98,43 @@ def test_contrast_of_albedo_without_relief_may_have_a_trend():
     known = np.ones(squares(piece), bool)
     flat = replace(drawn, height=0.0 * piece.height)
     assert trend_penalty(planes_of(flat), known).max() == 0.0
+
+
+def spread_of_contrast(albedo):
+    """Standard deviation over windows of the log contrast of albedo's finest octave."""
+    log = np.log(albedo.mean(axis=0))
+    fine = log - cv2.GaussianBlur(log, (0, 0), 1.0)
+    rows, columns = (side // WINDOW for side in fine.shape)
+    fine = fine[: rows * WINDOW, : columns * WINDOW]
+    cut = fine.reshape(rows, WINDOW, columns, WINDOW)
+    return np.log(cut.std(axis=(1, 3))).std()
+
+
+def drawn(texture):
+    albedo = 0.2 * np.exp(texture.clip(-1.5, 1.5)).astype(np.float32)
+    return replace(even(), diffuse=np.broadcast_to(albedo, (3, *albedo.shape)).copy())
+
+
+def test_corners_that_a_lens_blurs_are_as_sharp_as_the_middle():
+    noise = np.random.default_rng(9).standard_normal(SIDES[::-1]).astype(np.float32)
+    sharp = 0.6 * cv2.GaussianBlur(noise, (0, 0), 0.8)
+    soft = cv2.GaussianBlur(sharp, (0, 0), 0.8)
+    y, x = np.mgrid[-1 : 1 : SIDES[1] * 1j, -1 : 1 : SIDES[0] * 1j]
+    share = 0.5 * (x**2 + y**2)
+    piece = drawn(sharp + share * (soft - sharp))
+    exemplar, example = indexed(piece.rounded(), (), turned=False)
+    made = example.exemplar
+    assert spread_of_contrast(made.diffuse) < 0.6 * spread_of_contrast(exemplar.diffuse)
+    assert made.diffuse.std() == pytest.approx(exemplar.diffuse.std(), rel=0.1)
+    assert (made.specular == exemplar.specular).all() and (made.height == exemplar.height).all()
+
+
+def test_a_material_whose_contrast_rises_is_not_sharpened():
+    noise = np.random.default_rng(9).standard_normal(SIDES[::-1]).astype(np.float32)
+    texture = np.linspace(0.2, 0.8, SIDES[0]) * cv2.GaussianBlur(noise, (0, 0), 0.8)
+    piece = drawn(texture)
+    before, after = (spread_of_contrast(e.diffuse) for e in (piece, evenly_sharp(piece)))
+    assert before > 0.3 and after == pytest.approx(before, rel=0.05)
 
 
 def test_creases_in_a_few_places_are_no_trend():

@@ -49,6 +49,7 @@ from matcap.example.candidates import Frame
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
+from matcap.example.placement import evenly_sharp
 from matcap.example.variety import with_chosen_variety, with_least_steps
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.rectify import Plane
@@ -237,6 +238,7 @@ def indexed(
 
     A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
     large patches: its threads are the same everywhere, and small ones swirl (with_least_steps).
+    Of others, sharpness is evened there (evenly_sharp): a soft patch shows beside a sharp one.
 
     Args:
         exemplar: the maps, rounded as in a file.
@@ -251,11 +253,11 @@ def indexed(
     kept = _upright(kept, turned=turned)
     flat = straightened(exemplar, waves)
     if flat is None:
-        return exemplar, with_chosen_variety(
-            Example.of_rounded(
-                exemplar, waves, part=None if kept is None else _shown(kept), one_light=one_light
-            )
-        )
+        part = None if kept is None else _shown(kept)
+        example = Example.of_rounded(exemplar, waves, part=part, one_light=one_light)
+        if one_light:  # after the index, in which what departs by a trend keeps its cost
+            example = replace(example, exemplar=evenly_sharp(exemplar).rounded())
+        return exemplar, with_chosen_variety(example)
     return exemplar, with_least_steps(Example.of_rounded(*flat, straight=True))
 
 
