@@ -419,14 +419,7 @@ def _in_phase(
     lattice: PhasedLattice, seed: int, places: Positions, texels: Positions, period: Period | None
 ) -> Positions:
     """Move places by less than a period, so that their phases are those of texels of the field."""
-    x, y = places
-    wanted = lattice.ideal_phases(seed, *texels, period or (None, None))
-    turns = lattice.periods()
-    for _ in range(2):  # again, as the exemplar's lattice is bent
-        phase_error = (wanted - lattice.phases(x, y)).astype(np.int64)
-        x = x + ((phase_error @ turns[0] + (1 << 23)) >> 24)
-        y = y + ((phase_error @ turns[1] + (1 << 23)) >> 24)
-    return x, y
+    return lattice.in_phase(lattice.ideal_phases(seed, *texels, period or (None, None)), *places)
 
 
 def _ideal_phases(

@@ -37,7 +37,14 @@ from matcap.example.candidates import (
     step_of,
 )
 from matcap.example.exemplar import Exemplar, pack, unpack
-from matcap.example.lattice import GRID, Frequency, PhasedLattice, Phases, measure_lattice
+from matcap.example.lattice import (
+    GRID,
+    Frequency,
+    PhasedLattice,
+    Phases,
+    measure_lattice,
+    with_least_borders,
+)
 from matcap.example.placement import RULE, Placement, trend_penalty
 
 # Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
@@ -177,6 +184,7 @@ def build_index(
     means = features.mean(axis=(1, 2), keepdims=True)
     centred = np.subtract(features, means, dtype=np.float32)
     lattice = measure_lattice(centred, waves, straight=straight)
+    lattice = lattice and with_least_borders(centred, lattice)
     count = level_count(*shown.size)
     if lattice is not None:
         count = min(count, _ordered_levels(lattice))

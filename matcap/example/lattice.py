@@ -9,6 +9,7 @@ Phases are 16-bit integers in units of 2^-16 turn, which wrap as turns do.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,6 +24,11 @@ Doubles = NDArray[np.float64]
 
 # Measurement of a lattice and its patches; docs/notes/field.md.
 _BINS = 24  # of a turn, for the search for joints
+# Orders of the sums of one wave, and of two, that may take their places.
+_ORDERS: dict[int, list[tuple[int, ...]]] = {
+    1: [(1,)],
+    2: [(1, 0), (0, 1), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)],
+}
 _SLOPES = (5, 6)  # planes that are left out there, as they vary most at joints
 LEAST_PATCH = 48  # least size of a patch of whole cells, texels
 _SMALLER = 0.8  # factor by which patches shrink until they fit the exemplar
@@ -125,6 +131,15 @@ class PhasedLattice:
             ],
             axis=-1,
         ).astype(np.int16)
+
+    def in_phase(self, wanted: Phases, x: Integers, y: Integers) -> tuple[Integers, Integers]:
+        """Places (x, y) moved by less than a period, so that they have the wanted phases."""
+        turns = self.periods()
+        for _ in range(2):  # again, as the lattice is bent
+            phase_error = (wanted - self.phases(x, y)).astype(np.int64)
+            x = x + ((phase_error @ turns[0] + (1 << 23)) >> 24)
+            y = y + ((phase_error @ turns[1] + (1 << 23)) >> 24)
+        return x, y
 
     def ideal_phases(self, seed: int, x: Integers, y: Integers, period: Period) -> Phases:
         """(..., len(waves)) phases of the field's ideal lattice at (x, y).
@@ -271,8 +286,7 @@ def measure_lattice(
     if not all(repeats):
         kept = tuple(wave for wave, one in zip(waves, repeats, strict=True) if one)
         return measure_lattice(planes, kept, straight=straight)
-    joints = _joints(np.delete(planes, _SLOPES, axis=0), lattice)
-    return PhasedLattice(lattice.waves, lattice.phase_offsets - joints[:, None, None])
+    return lattice
 
 
 def _repeats(planes: NDArray[np.floating], period: Doubles) -> bool:
@@ -296,30 +310,50 @@ def _repeats(planes: NDArray[np.floating], period: Doubles) -> bool:
     return once > min(half + _GAIN, _ALIKE)
 
 
-def _joints(planes: NDArray[np.floating], lattice: PhasedLattice) -> NDArray[np.int32]:
-    """(len(waves),) phases at which cells differ least from each other, such as joints of tiles.
+def with_least_borders(planes: NDArray[np.floating], lattice: PhasedLattice) -> PhasedLattice:
+    """The lattice by the waves, and from the phases, at which borders of cells differ least.
 
-    Patches are cut there. The variance over cells is computed by phase, in _BINS bins.
+    Patches are cut where phases are 0. The variance v over cells is computed by phase, in _BINS
+    bins, and is least at joints of tiles. Waves f, g and f, f + g generate the same lattice, but
+    cells of the latter are cut aslant; the sum over both borders of v times length is the least.
+
+    Args:
+        planes: (C, H, W) of zero mean, features (candidates.py); slopes vary most at joints, and do
+            not count.
     """
+    planes = np.delete(planes, _SLOPES, axis=0)
     high, wide = planes.shape[1:]
     x, y = np.arange(0, wide, 2), np.arange(0, high, 2)
     phases = lattice.phases(x[None, :], y[:, None]).astype(np.int64) % _TURN
-    bins = phases * _BINS // _TURN
-    place = bins[..., 0] if bins.shape[-1] == 1 else bins[..., 0] * _BINS + bins[..., 1]
-    place = place.ravel()
-    size = _BINS ** bins.shape[-1]
+    bins = (phases * _BINS // _TURN).reshape(-1, len(lattice.waves)).T
+    place = np.ravel_multi_index(tuple(bins), (_BINS,) * len(bins))
+    size = _BINS ** len(bins)
     count = np.maximum(np.bincount(place, minlength=size), 1)
     spread = np.zeros(size)
     for plane in planes[:, ::2, ::2].reshape(len(planes), -1):
         mean = np.bincount(place, plane, size) / count
         spread += np.bincount(place, plane * plane, size) / count - mean * mean
-    joints = []
-    for axis in range(bins.shape[-1]):
-        grid = spread.reshape((_BINS,) * bins.shape[-1])
-        line = grid if grid.ndim == 1 else grid.mean(axis=1 - axis)
+    waves = np.array(lattice.waves)
+    at = np.indices((_BINS,) * len(bins)).reshape(len(bins), -1)
+
+    def border(orders: tuple[int, ...]) -> tuple[float, int]:
+        """V times length in proportion, and the phase, of the best border of a wave."""
+        line = np.bincount(np.dot(orders, at) % _BINS, spread, _BINS)
         smooth = np.roll(line, 1) + 2 * line + np.roll(line, -1)
-        joints.append((2 * int(np.argmin(smooth)) + 1) * _TURN // (2 * _BINS))
-    return np.array(joints, np.int32)
+        phase = (2 * int(np.argmin(smooth)) + sum(orders)) * _TURN // (2 * _BINS)
+        return float(smooth.min() * np.hypot(*np.dot(orders, waves))), phase
+
+    borders = {orders: border(orders) for orders in _ORDERS[len(waves)]}
+    bases = [
+        basis
+        for basis in itertools.combinations(borders, len(waves))
+        if abs(round(float(np.linalg.det(basis)))) == 1
+    ]
+    best = min(bases, key=lambda basis: sum(borders[orders][0] for orders in basis))
+    joints = np.array([borders[orders][1] for orders in best], np.int32)
+    offsets = np.tensordot(np.array(best, np.int32), lattice.phase_offsets, 1)
+    frequencies = tuple((float(fx), float(fy)) for fx, fy in np.array(best) @ waves)
+    return PhasedLattice(frequencies, offsets - joints[:, None, None])
 
 
 def _measured(

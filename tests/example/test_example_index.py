@@ -33,7 +33,13 @@ from matcap.example.example import Example, halvings, summary
 from matcap.example.exemplar import Exemplar
 from matcap.example.fine_lattice import straightened
 from matcap.example.index import prepare
-from matcap.example.lattice import PhasedLattice, _unwrapped, cells_of, measure_lattice
+from matcap.example.lattice import (
+    PhasedLattice,
+    _unwrapped,
+    cells_of,
+    measure_lattice,
+    with_least_borders,
+)
 from matcap.example.plaid import _margins, is_plaid
 from matcap.example.variety import variety_trials, with_chosen_variety, with_least_steps
 from matcap.field.material import Material
@@ -179,6 +185,26 @@ def test_waves_by_which_an_exemplar_does_not_repeat_are_no_lattice():
     for plane, wave, repeats in ((stripes, along, True), (boards, across, False)):
         planes = np.stack([plane, *[np.zeros_like(plane)] * 6])
         assert (measure_lattice(planes, (wave,)) is not None) == repeats
+
+
+@pytest.mark.parametrize("aslant", [(0, 1), (1, 1), (1, -1), (-2, 1)])
+def test_patches_of_tiles_end_at_joints_whichever_waves_were_found(aslant):
+    """Waves along x, and along x and y, are of the same tiles; patches were cut aslant by them."""
+    period = 22.0
+    random = np.random.default_rng(3)
+    y, x = np.mgrid[:192, :256]
+    tiles = random.standard_normal((10, 13))[(y // period).astype(int), (x // period).astype(int)]
+    joints = np.minimum(x % period, y % period) < 3.0
+    planes = np.stack([np.where(joints, 2.0, tiles), *[np.zeros(tiles.shape)] * 6])
+    planes -= planes.mean(axis=(1, 2), keepdims=True)
+    waves = ((1.0 / period, 0.0), (aslant[0] / period, aslant[1] / period))
+    lattice = measure_lattice(planes, waves)
+    assert lattice is not None
+    lattice = with_least_borders(planes, lattice)
+    assert np.abs(lattice.waves).max(axis=0) == pytest.approx([1.0 / period] * 2, rel=0.02)
+    assert np.abs(lattice.waves).min(axis=0) == pytest.approx([0.0, 0.0], abs=1e-3)
+    borders = (np.abs(lattice.phases(x, y).astype(int)) < 1200).any(axis=-1)
+    assert joints[borders].mean() > 0.8  # a phase is known to 1 / 24 turn
 
 
 def test_patches_of_stripes_are_twice_as_long_as_wide():

@@ -167,7 +167,9 @@ def estimate_exemplar(
     )
     coarse = observed.coarse
     with clock.stage("inpaint"):
-        exemplar, copies = inpainted(exemplar_of(observed, prediction), observed)
+        exemplar, copies = inpainted(
+            exemplar_of(observed, prediction), observed, rectified.input_waves
+        )
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
         matte = without_glints(whole, coarse, metal=bool(prediction.metal.any()))
         exemplar = transfer_detail(exemplar, matte, coarse, copies)

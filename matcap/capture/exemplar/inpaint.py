@@ -13,6 +13,7 @@ Finer detail, which is added to the maps later, is copied from the same places (
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -27,11 +28,13 @@ from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.rectified import Observation, PhotographLight
 from matcap.example.candidates import planes_of
 from matcap.example.exemplar import Exemplar
+from matcap.example.lattice import PhasedLattice, measure_lattice
 from matcap.example.placement import texture_trend
 from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
+from matcap.statistics.lattice import Wave
 from matcap.statistics.streaks import streaks
 
 # Inpainting under the highlight; docs/notes/capture.md. NSD is the normalised style distance.
@@ -105,12 +108,15 @@ class Copies:
         return copied
 
 
-def inpainted(exemplar: Exemplar, observed: Observation) -> tuple[Exemplar, Copies | None]:
+def inpainted(
+    exemplar: Exemplar, observed: Observation, waves: tuple[Wave, ...] = ()
+) -> tuple[Exemplar, Copies | None]:
     """Inpaint an exemplar where specular light hides its maps, or is left in its albedo.
 
     Args:
         exemplar: estimated maps and their confidence, which also falls to 0 in the highlight's
             remainder.
+        waves: frequency vectors of its lattice, cycles per texel.
 
     Returns:
         The exemplar, and what it is copied from; None if nothing is.
@@ -119,7 +125,8 @@ def inpainted(exemplar: Exemplar, observed: Observation) -> tuple[Exemplar, Copi
     distance = (observed.from_mirror_point / plane.texel_size).numpy()
     spot = remaining_highlight(exemplar.diffuse, observed.within.numpy(), distance)
     exemplar = replace(exemplar, confidence=exemplar.confidence * ~spot)
-    return transport(exemplar, plane.linear, plane.valid, plane.kept, observed.light)
+    photographed = plane.linear, plane.valid, plane.kept
+    return transport(exemplar, *photographed, observed.light, waves)
 
 
 @dataclass(frozen=True)
@@ -137,7 +144,12 @@ class _MapPlanes:
 @one_thread()
 @torch.no_grad()
 def transport(
-    exemplar: Exemplar, linear: Tensor, valid: Tensor, kept: Tensor, light: PhotographLight
+    exemplar: Exemplar,
+    linear: Tensor,
+    valid: Tensor,
+    kept: Tensor,
+    light: PhotographLight,
+    waves: tuple[Wave, ...] = (),
 ) -> tuple[Exemplar, Copies | None]:
     """Copy blocks of maps to where specular light hides them (reflectance transport).
 
@@ -155,6 +167,7 @@ def transport(
         valid: (H, W) bool, visible and not clipped.
         kept: (H, W) bool, the material; masked texels that it surrounds are inpainted, too.
         light: the photograph's, at every texel.
+        waves: frequency vectors of its lattice, with which copies are in phase.
 
     Returns:
         The exemplar, and what it is copied from; the same object and None if no block is hidden by
@@ -179,21 +192,28 @@ def transport(
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
-    compared = _Photograph(exemplar, linear, valid, light), _trend(exemplar, ~hidden)
-    chosen = _choose(places, donors, planes, ~hidden, *compared)
-    del compared  # 80 MB of 1024 texels across, which composing has other use for
+    photograph = _Photograph(exemplar, linear, valid, light)
+    choice = _Donors(donors, ~hidden, _trend(exemplar, ~hidden), _lattice(planes, relative, waves))
+    chosen = _choose(places, choice, planes, photograph)
+    del photograph, choice  # 80 MB of 1024 texels across, which composing has other use for
     source, copied = _sources(chosen, hidden)
+    return _filled(exemplar, planes, source, copied), Copies(source, copied)
+
+
+def _filled(
+    exemplar: Exemplar, planes: _MapPlanes, source: BlockPlaces, copied: TexelMask
+) -> Exemplar:
+    """The exemplar with what is copied from its sources."""
     slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
     texel = exemplar.texel_size
     blended = composed(_blended_scale(planes.high_passed, texel), source, copied, _SEAM_REACH)
-    filled = replace(
+    return replace(
         exemplar,
         diffuse=np.where(copied, np.exp(blended[DIFFUSE]), exemplar.diffuse).clip(0.0, 1.0),
         specular=np.where(copied, np.exp(blended[SPECULAR]), exemplar.specular).clip(0.0, 1.0),
         roughness=np.where(copied, blended[ROUGHNESS], exemplar.roughness).clip(0.0, 1.0),
         height=np.where(copied, blended[HEIGHT] * texel + slow, exemplar.height),
     )
-    return filled, Copies(source, copied)
 
 
 def _blended_scale(stacked: Floats, texel: float) -> Floats:
@@ -287,29 +307,68 @@ def _detrended(log: Tensor, seen: Tensor) -> Tensor:
     return (flat - (flat @ basis.T) @ basis).unflatten(-1, seen.shape)
 
 
+@dataclass(frozen=True)
+class _Donors:
+    """Blocks that may be copied."""
+
+    corners: BlockPlaces
+    """(N, 2)"""
+    known: TexelMask
+    """(H, W) texels that are not hidden."""
+    trend: Floats
+    """Of texture (_trend)."""
+    lattice: PhasedLattice | None
+    """Of a regular texture."""
+
+    @cached_property
+    def _allowed(self) -> TexelMask:
+        allowed = np.zeros(self.known.shape, np.bool_)
+        allowed[self.corners[:, 0], self.corners[:, 1]] = True
+        return allowed
+
+    def candidates(
+        self,
+        place: tuple[int, int],
+        chosen: dict[tuple[int, int], tuple[int, int]],
+        rng: np.random.Generator,
+    ) -> BlockPlaces:
+        """(N, 2) _TRIED random blocks, of a lattice in its phase, and what continues neighbours."""
+        blocks = self.corners[rng.integers(len(self.corners), size=_TRIED)]
+        if self.lattice is not None:
+            y, x = np.array(place)[:, None] + _BLOCK // 2
+            rows, columns = (blocks + _BLOCK // 2).T
+            columns, rows = self.lattice.in_phase(self.lattice.phases(x, y), columns, rows)
+            moved = self._usable(np.stack([rows, columns], axis=1) - _BLOCK // 2)
+            blocks = moved if len(moved) >= _RENDERED else blocks
+        follow = self._usable(np.array(_continued(place, chosen), np.int64).reshape(-1, 2))
+        return np.concatenate([blocks, follow])
+
+    def _usable(self, blocks: BlockPlaces) -> BlockPlaces:
+        inside = (blocks >= 0).all(axis=1) & (blocks < self._allowed.shape).all(axis=1)
+        blocks = blocks[inside]
+        return blocks[self._allowed[blocks[:, 0], blocks[:, 1]]]
+
+
+def _lattice(planes: _MapPlanes, seen: Floats, waves: tuple[Wave, ...]) -> PhasedLattice | None:
+    """The lattice of planes, which count by how well they are seen."""
+    weight = seen.clip(0.0, 1.0)
+    means = (planes.features * weight).mean(axis=(1, 2)) / max(float(weight.mean()), 1e-6)
+    return measure_lattice((planes.features - means[:, None, None]) * weight, waves)
+
+
 def _choose(
-    places: list[tuple[int, int]],
-    donors: BlockPlaces,
-    planes: _MapPlanes,
-    known: TexelMask,
-    photograph: _Photograph,
-    trend: Floats,
+    places: list[tuple[int, int]], donors: _Donors, planes: _MapPlanes, photograph: _Photograph
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
-    known, seen = known.copy(), planes.features.copy()
-    allowed, copied = np.zeros((2, *known.shape), np.bool_)
-    allowed[donors[:, 0], donors[:, 1]] = True
+    known, seen = donors.known.copy(), planes.features.copy()
+    copied = np.zeros_like(known)
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
-        blocks = donors[rng.integers(len(donors), size=_TRIED)]
-        follow = [(y, x) for y, x in _continued(place, chosen) if min(y, x) >= 0 and allowed[y, x]]
-        if follow:
-            blocks = np.concatenate([blocks, np.array(follow)])
-        here = _block(place)
+        here, blocks = _block(place), donors.candidates(place, chosen, rng)
         mismatch = _discontinuity(place, blocks, planes.features, seen, known)
         mismatch += _REUSED * _shown_before(blocks, ~known[here], copied)
-        mismatch += _UNLIKE * _departure(trend, place, blocks)
+        mismatch += _UNLIKE * _departure(donors.trend, place, blocks)
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
         blocks, mismatch = blocks[nearest], mismatch[nearest]

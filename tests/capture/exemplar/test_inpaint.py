@@ -18,6 +18,7 @@ from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.light import render_flash
+from matcap.statistics.lattice import Wave
 
 # Rings of albedo around the mirror point.
 
@@ -170,12 +171,15 @@ def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) 
 
 
 def _transported(
-    shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...]
+    shot: Photographed,
+    exemplar: Exemplar,
+    hole: tuple[slice, ...],
+    waves: tuple[Wave, ...] = (),
 ) -> tuple[Exemplar, Copies | None]:
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:
         valid[hole] = False
-    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light)
+    return transport(exemplar, shot.linear, valid, torch.ones_like(valid), shot.light, waves)
 
 
 def _likeness(found: Exemplar, shot: Photographed) -> float:
@@ -230,6 +234,20 @@ def test_inpainted_texture_matches_what_the_photograph_shows(
     likeness = _likeness(_lent(shot, exemplar), shot)
     monkeypatch.setattr("matcap.capture.exemplar.inpaint._PHOTOGRAPH_WEIGHT", 0.0)
     assert likeness > max(0.7, _likeness(_lent(shot, exemplar), shot) + 0.1)
+
+
+def test_checks_are_inpainted_in_phase(shot: Photographed) -> None:
+    """Checks larger than a block came back in fragments: only their phase tells where each goes."""
+    y, x = np.mgrid[0:384, 0:512]
+    waves = Wave(1.0 / 86.0, 0.0004), Wave(0.0004, 1.0 / 96.0)
+    bent = x + 8.0 * np.sin(y / 80.0), y + 8.0 * np.sin(x / 90.0)
+    stripes = [np.sign(np.sin(2.0 * np.pi * (w.fx * bent[0] + w.fy * bent[1]))) for w in waves]
+    threads = np.random.default_rng(2).standard_normal(x.shape)
+    tone = torch.from_numpy((0.7 * sum(stripes) + 0.4 * threads).astype(np.float32))
+    maps = replace(shot.maps, diffuse=0.1 * tone.exp().expand(3, -1, -1))
+    shot = replace(shot, maps=maps, linear=render_flash(maps, SETUP, shot.points))
+    found, _ = _transported(shot, _hidden(shot), HOLE, waves)
+    assert _likeness(found, shot) > 0.7  # 0.57 by random blocks
 
 
 def test_a_scratch_through_the_highlight_is_kept(shot: Photographed) -> None:
