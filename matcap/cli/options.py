@@ -93,7 +93,7 @@ class PlainCommand(TyperCommand):
             if isinstance(param, TyperOption) and ALL in param.opts:
                 param.hidden = True  # the epilogue says it
             if isinstance(param, TyperOption) and not (param.required or param.multiple):
-                param.process_value = _unless_absent(param.process_value)
+                vars(param).setdefault("process_value", _unless_absent(param.process_value))
         return params
 
     def format_help(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401
