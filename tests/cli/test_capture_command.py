@@ -4,6 +4,7 @@ import errno
 import filecmp
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -266,7 +267,8 @@ def test_an_interruption_saves_the_best_so_far_and_exits_with_130(
     matcap, pipeline, photo, tmp_path, out
 ):
     pipeline.interrupt = True
-    said = matcap("capture", photo, photo, "-o", out, "--size", 16, "--json")
+    second = shutil.copy(photo, tmp_path / "second.dng")
+    said = matcap("capture", photo, second, "-o", out, "--size", 16, "--json")
     assert said.code == 130
     (result,) = json.loads(said.out)["photographs"]  # the second one is not begun
     assert result["status"] == "interrupted"
@@ -279,11 +281,12 @@ def test_an_early_interruption_exits_with_130_and_leaves_nothing(
     matcap, pipeline, photo, tmp_path, out
 ):
     pipeline.failure = KeyboardInterrupt()
-    said = matcap("capture", photo, photo, "-o", out, "--json")
+    second = shutil.copy(photo, tmp_path / "second.dng")
+    said = matcap("capture", photo, second, "-o", out, "--json")
     assert said.code == 130
     assert said.err == f"matcap: {photo}: interrupted before there was anything to save.\n"
     assert [r["status"] for r in json.loads(said.out)["photographs"]] == ["interrupted"]
-    assert list(tmp_path.iterdir()) == [photo]
+    assert {*tmp_path.iterdir()} == {photo, second}
 
 
 def test_a_bug_exits_with_1_and_one_sentence(matcap, pipeline, photo, tmp_path, out, monkeypatch):

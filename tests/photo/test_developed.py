@@ -394,9 +394,9 @@ def test_other_files_are_refused_by_what_they_are(tmp_path, data, said):
 def test_what_is_no_readable_file_is_refused(tmp_path, codes, monkeypatch):
     error = refuse(tmp_path / "none.dng")
     assert "no such file" in error.what and isinstance(error.__cause__, FileNotFoundError)
-    assert "directory" in refuse(tmp_path).what
+    assert "folder" in refuse(tmp_path).what
     os.mkfifo(tmp_path / "pipe.jpg")  # opening it would wait for ever
-    assert "not a file" in refuse(tmp_path / "pipe.jpg").what
+    assert "a pipe or a device" in refuse(tmp_path / "pipe.jpg").what
     path = tmp_path / "a.png"
     Image.fromarray(codes).save(path)
 

@@ -479,34 +479,12 @@ def equalise(
     wanted = slope_energies(height)
     if spectrum is not None:
         wanted = wanted * posterior_factors(BandEnergies.of(wanted, spectrum))
-        wanted = _without_albedo(wanted, spectrum)
     factors: Doubles = np.ones(len(even))
     for _ in range(_SCALINGS):
         here = slope_energies(_sum(factors, even))
         factors = (factors * np.sqrt(wanted / here)).clip(1.0 / _MOST_FACTOR, _MOST_FACTOR)
     whole = _sum(factors, even)
     return whole if spectrum is None else _turned(whole, spectrum, margin)
-
-
-def _without_albedo(wanted: Doubles, spectrum: ReliefSpectrum) -> Doubles:
-    """(bands,) slope energies, less where albedo is the likelier cause of what the network draws.
-
-    It draws dark places deep, with slopes in proportion to log radiance at all wavelengths, hence
-    mottled cloth with pits as wide as the longest octave. With wavelengths l and r the band with
-    the most slopes, depth over log albedo of a band b is at most that of r,
-
-        wanted_b <= wanted_r (A_b l_r^2) / (A_r l_b^2),
-
-    where neither band's slopes are measured: fully if both S are within their deviations, not at
-    all if one is above twice its own, and in the share that albedo has of the band.
-    """
-    albedo = np.square(spectrum.albedo).sum(1)
-    steepest = wanted.argmax()
-    depth = (albedo + _LEAST_SLOPE**2) * [1.0 / (longest * shortest) for longest, shortest in BANDS]
-    most = np.minimum(wanted, wanted[steepest] * depth / depth[steepest])
-    measured = np.square(spectrum.slope).sum(1) / (spectrum.deviation + _LEAST_SLOPE**2)
-    unmeasured = (2.0 - np.maximum(measured, measured[steepest])).clip(0.0, 1.0)
-    return np.asarray(wanted * (most / wanted) ** (unmeasured * albedo / (albedo + wanted)))
 
 
 def _turned(height: Height, spectrum: ReliefSpectrum, margin: int) -> Height:

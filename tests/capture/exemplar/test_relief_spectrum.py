@@ -24,7 +24,6 @@ from matcap.capture.exemplar.relief_spectrum import (
     equalise,
     filled,
     measure_relief_spectrum,
-    slope_energies,
     slope_spectrum,
     split,
 )
@@ -32,7 +31,6 @@ from matcap.capture.rectified import Observation
 from matcap.cli.main import command_line
 from matcap.files.color import srgb_encode
 from matcap.flash.coarse.fit import fit_coarse
-from matcap.flash.light import render_flash
 from matcap.flash.rectify import read_plane
 
 # Relief's and albedo's strength in closed form, against simulated truth.
@@ -284,25 +282,6 @@ def test_every_band_is_scaled_to_its_measured_energy() -> None:
     result = _estimate(true)
     found = slope_spectrum(equalise(sum(shrunk).astype(np.float32), result))
     assert np.allclose(np.sqrt(np.square(found).sum(1)), np.sqrt(np.square(true).sum(1)), rtol=0.1)
-
-
-def test_mottled_cloth_has_no_pits() -> None:
-    """Threads, dark in between, with stains that a network draws as pits; no slope is measured."""
-    shot = photographed(0.04, 0.0, width=768, height=512)
-    threads = (shot.maps.height / shot.maps.texel_size)[0].numpy()
-    noise = np.random.default_rng(1).standard_normal(threads.shape).astype(np.float32)
-    stains = split(noise)[0] / split(noise)[0].std()
-    tone = torch.from_numpy(0.4 * threads / threads.std() + 0.1 * stains)
-    maps = replace(shot.maps, diffuse=shot.maps.diffuse * tone.exp())
-    linear = render_flash(maps, shot.uniform.setup, shot.points)
-    seen = torch.ones_like(linear[0], dtype=torch.bool)
-    inputs = network_inputs(linear, seen, shot.uniform, shot.points)
-    shows = inputs.slope_sensitivity.numpy()
-    spectrum = measure_relief_spectrum(inputs.log.mean(0).numpy(), shows, seen.numpy())
-    true = np.sqrt(slope_energies(threads))
-    pits = 0.5 * true.max() / np.sqrt(slope_energies(stains)[0]) * stains
-    found = np.sqrt(slope_energies(equalise(threads + pits.astype(np.float32), spectrum, shows)))
-    assert found[:4] == pytest.approx(true[:4], rel=0.3)
 
 
 def test_brushed_relief_is_not_drawn_as_bumps() -> None:
