@@ -255,6 +255,8 @@ def discontinuity(donor, shown, texels, corners, most):
     copied = donor.reshape(-1, donor.shape[-1])[texels[:, None] + corners]
     apart = np.minimum(np.square(copied - shown[:, None]), np.float32(most))
     # Numbers are added one after the other only along an outer axis.
-    apart, total, squares = (each.sum(axis=0) / count for each in (apart, copied, np.square(copied)))
+    apart, total, squares = (
+        each.sum(axis=0) / count for each in (apart, copied, np.square(copied))
+    )
     variance = squares - total * total
     return np.stack([np.cumsum(each, axis=1)[:, -1] for each in (apart, variance)])

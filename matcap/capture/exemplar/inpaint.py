@@ -440,16 +440,16 @@ def _discontinuity(
     """
     here = tuple(slice(start, start + _BLOCK, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
-    found, most = np.zeros((2, len(blocks)), np.float32), ctypes.c_float(_FARTHEST)
+    sums, most = np.zeros((2, len(blocks)), np.float32), ctypes.c_float(_FARTHEST)
     if not rows.size:
-        return found[0]
+        return sums[0]
     shown, across = seen[place[0] + rows, place[1] + columns], donor.shape[1]
     texels, corners = rows * across + columns, blocks @ np.array([across, 1])
     sizes = ctypes.c_int32(len(texels)), ctypes.c_int32(len(corners))
     arrays = (address(each) for each in (donor, shown, texels, corners))
-    loops().matcap_discontinuity(*arrays, *sizes, most, address(found))
+    loops().matcap_discontinuity(*arrays, *sizes, most, address(sums))
     # Sums over the features, which are three.
-    return np.asarray(found[0] / (found[1] + shown.var(axis=0).sum() + 3.0 * _PLAIN), np.float32)
+    return np.asarray(sums[0] / (sums[1] + shown.var(axis=0).sum() + 3.0 * _PLAIN), np.float32)
 
 
 def _sources(
