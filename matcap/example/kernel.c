@@ -1,6 +1,6 @@
 /* The field by example: correction of its places, in integers, and blending of its maps, in floats
-   summed in a fixed order (built without contraction). tests/example/plain_loops.py computes the
-   same bits in NumPy. */
+   summed in a fixed order (built without contraction); and the comparison of blocks for inpainting.
+   tests/example/plain_loops.py computes the same bits in NumPy. */
 
 #include <math.h>
 #include <stddef.h>
@@ -23,8 +23,10 @@
 #endif
 #if defined(__GNUC__)
 #define INLINE static inline __attribute__((always_inline))
+#define PREFETCH(address) __builtin_prefetch(address)
 #else
 #define INLINE static inline
+#define PREFETCH(address) ((void)(address))
 #endif
 #if defined(__GNUC__) && !defined(__clang__)
 #define LOOP _Pragma("GCC unroll 1") /* kept a loop, gcc makes vectors of it */
@@ -51,7 +53,7 @@ typedef struct {
 } Place;
 
 /* Version of results and arguments, as in library.py: a library of another version is not used. */
-enum { FORM = 4 };
+enum { FORM = 5 };
 
 int32_t matcap_form(void) { return FORM; }
 
@@ -131,12 +133,8 @@ static int32_t cost_of(const Level *l, int32_t x, int32_t y, const int16_t *want
 
 /* Prefetch what the cost of a place will read. */
 static void expect(const Level *l, Place p) {
-#if defined(__GNUC__)
     for (int y = -1; y <= 1; y += 2)
-        __builtin_prefetch(appearance_at(l, p.x - l->spacing, p.y + y * l->spacing));
-#else
-    (void)l, (void)p;
-#endif
+        PREFETCH(appearance_at(l, p.x - l->spacing, p.y + y * l->spacing));
 }
 
 /* Append a place to the candidates, unless it is among them; returns their number. */
@@ -538,4 +536,35 @@ INLINE void blend(const Exemplar *e, const Band *bands,
 WIDE void matcap_blend(const Exemplar *e, const Band *bands, int32_t count, int32_t columns,
                        int32_t rows, float *found) {
     blend(e, bands, count, columns, rows, found);
+}
+
+/* inpaint._discontinuity: of blocks of `planes` (texels of FEATURES), which begin at `corners`, the
+   sums over features of mean squared differences, each at most `most`, to what is `shown` at some
+   texels (numbered from the corner), and of their variances there. found is 2 x blocks. */
+enum { FEATURES = 4 };
+
+WIDE void matcap_discontinuity(const float *planes, const float *shown, const int64_t *texels,
+                               const int64_t *corners, int32_t known, int32_t blocks, float most,
+                               float *found) {
+    for (int32_t i = 0; i < blocks; i++) {
+        const int64_t next = corners[i + 1 < blocks ? i + 1 : i];
+        float apart[FEATURES] = {0}, sum[FEATURES] = {0}, squares[FEATURES] = {0};
+        for (int32_t k = 0; k < known; k++) {
+            const float *here = planes + FEATURES * (corners[i] + texels[k]);
+            PREFETCH(planes + FEATURES * (next + texels[k])); /* memory takes longer than the sums */
+            LOOP
+            for (int d = 0; d < FEATURES; d++) {
+                const float value = here[d], off = value - shown[FEATURES * k + d];
+                apart[d] += off * off < most ? off * off : most;
+                sum[d] += value;
+                squares[d] += value * value;
+            }
+        }
+        found[i] = found[blocks + i] = 0.0f;
+        for (int d = 0; d < FEATURES; d++) {
+            const float mean = sum[d] / (float)known;
+            found[i] += apart[d] / (float)known;
+            found[blocks + i] += squares[d] / (float)known - mean * mean;
+        }
+    }
 }

@@ -299,6 +299,13 @@ def test_other_photographs_are_no_bracket(second):
         merge_bracket(photos)
 
 
+def test_unlike_photographs_are_left_after_the_shift_alone(monkeypatch):
+    fits, fitted = [], cv2.findHomography
+    monkeypatch.setattr(cv2, "findHomography", lambda *given: fits.append(0) or fitted(*given))
+    assert alignment(taken(scene()), taken(scene(5), 1 / 4, seed=2)) is None
+    assert 0 < len(fits) <= 2  # from the shift and from none
+
+
 def saved(path, photo: Photo, exposure: float | None, camera: str = "phone"):
     """A photograph's pixels as a JPEG with Exif."""
     codes = np.round(255 * srgb_encode(photo.pixels.astype(np.float64))).astype(np.uint8)

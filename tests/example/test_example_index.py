@@ -13,6 +13,7 @@ from materials import a_material
 
 from matcap.brdf.folder import read_mapset
 from matcap.capture.exemplar.estimate import indexed
+from matcap.capture.exemplar.inpaint import _discontinuity
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError
 from matcap.example.candidates import (
@@ -132,6 +133,22 @@ def test_the_compiled_correction_is_the_plain_one_from_any_beginning(example):
             for form in (correct, plain.correct)
         )
         assert np.array_equal(found, expected) and (found != places[16:-16, 16:-16]).any()
+
+
+@pytest.mark.parametrize("count", [1, 300])
+def test_the_compiled_comparison_of_blocks_is_the_plain_one(count):
+    random = np.random.default_rng(6)
+    donor, seen = random.standard_normal((2, 80, 90, 4)).astype(np.float32)
+    for each in (donor, seen):
+        each[..., 3] = 0.0  # three features
+    blocks = random.integers(0, (80 - 48, 90 - 48), (20, 2))
+    known = np.zeros((80, 90), np.bool_)
+    known[3:51:2, 5:53:2].flat[random.permutation(576)[:count]] = True
+    rows, columns = np.nonzero(known)
+    shown, texels = seen[known], (rows - 3) * 90 + columns - 5
+    apart, variance = plain.discontinuity(donor, shown, texels, blocks @ [90, 1], 4.0)
+    expected = apart / (variance + shown.var(axis=0).sum() + 1.5)
+    assert np.array_equal(_discontinuity((3, 5), blocks, donor, seen, known), expected)
 
 
 def test_candidates_are_among_the_most_similar_places():

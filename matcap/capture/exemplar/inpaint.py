@@ -12,6 +12,7 @@ Finer detail, which is added to the maps later, is copied from the same places (
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -29,6 +30,7 @@ from matcap.capture.rectified import Observation, PhotographLight
 from matcap.example.candidates import planes_of
 from matcap.example.exemplar import Exemplar
 from matcap.example.lattice import PhasedLattice, measure_lattice
+from matcap.example.library import address, loops
 from matcap.example.placement import texture_trend
 from matcap.field.source import one_thread
 from matcap.flash.highlight import remaining_highlight
@@ -67,7 +69,6 @@ _UNLIKE, _SQUARE = 0.2, 16
 # measured above white granite's have 0.2 of it, leather's 0.4 to 0.67, a scratch's 0.77 and more.
 _MOST_ENERGY, _VISIBLE_SHARE, _OWN_ENERGY = 2.0, 0.5, 0.7
 _SPREAD = 4  # texels over which a hidden texel's light spreads to its neighbours
-_AT_ONCE = 64  # candidates compared at a time, whose texels a processor's cache holds
 _THINNED = 4  # subsampling, texels, of rendered candidates
 _FARTHEST = 4.0  # upper limit of a squared standardised difference in the overlap
 _PLAIN = 0.5  # variance to which that of both sides of an overlap is added
@@ -361,12 +362,14 @@ def _choose(
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
-    known, seen = donors.known.copy(), planes.features.copy()
+    known, donor = donors.known.copy(), np.zeros((*donors.known.shape, 4), np.float32)
+    donor[..., :3] = np.moveaxis(planes.features, 0, -1)  # a texel's numbers lie together
+    seen = donor.copy()
     copied = np.zeros_like(known)
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
         here, blocks = _block(place), donors.candidates(place, chosen, rng)
-        mismatch = _discontinuity(place, blocks, planes.features, seen, known)
+        mismatch = _discontinuity(place, blocks, donor, seen, known)
         mismatch += _REUSED * _shown_before(blocks, ~known[here], copied)
         mismatch += _UNLIKE * _departure(donors.trend, place, blocks)
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
@@ -379,7 +382,7 @@ def _choose(
             chosen[place] = source
         there = _block(source)
         copied[there] |= ~known[here]
-        seen[:, *here] = np.where(known[here], seen[:, *here], planes.features[:, *there])
+        seen[here] = np.where(known[here][..., None], seen[here], donor[there])
         known[here] = True
     return chosen
 
@@ -433,24 +436,20 @@ def _discontinuity(
     """(N,) mean squared difference of blocks to known texels of a place, over variances of both.
 
     Without these a plain block fits anything better than another part of an irregular texture.
+    Donor and seen are (H, W, 4): features, then zeros.
     """
     here = tuple(slice(start, start + _BLOCK, 2) for start in place)
     rows, columns = 2 * np.array(np.nonzero(known[here]))
+    sums, most = np.zeros((2, len(blocks)), np.float32), ctypes.c_float(_FARTHEST)
     if not rows.size:
-        return np.zeros(len(blocks), np.float32)
-    shown = seen[:, None, place[0] + rows, place[1] + columns]
-    varied, even = shown.var(axis=-1).mean() + _PLAIN, np.ones(rows.size, np.float32) / rows.size
-    flat, across = donor.reshape(len(donor), -1), donor.shape[2]
-    corners, texels = blocks @ [across, 1], rows * across + columns
-    mismatch = []
-    for first in range(0, len(corners), _AT_ONCE):
-        each = corners[first : first + _AT_ONCE, None] + texels
-        copied = np.take(flat, each, axis=1, mode="clip")  # without a second pass for bounds
-        variance = np.einsum("cnk,cnk->cn", copied, copied) / rows.size - np.square(copied @ even)
-        np.square(np.subtract(copied, shown, out=copied), out=copied)
-        difference = np.minimum(copied, np.float32(_FARTHEST), out=copied) @ even
-        mismatch.append(difference.mean(0) / (variance.mean(0) + varied))
-    return np.concatenate(mismatch).astype(np.float32)
+        return sums[0]
+    shown, across = seen[place[0] + rows, place[1] + columns], donor.shape[1]
+    texels, corners = rows * across + columns, blocks @ np.array([across, 1])
+    sizes = ctypes.c_int32(len(texels)), ctypes.c_int32(len(corners))
+    arrays = (address(each) for each in (donor, shown, texels, corners))
+    loops().matcap_discontinuity(*arrays, *sizes, most, address(sums))
+    # Sums over the features, which are three.
+    return np.asarray(sums[0] / (sums[1] + shown.var(axis=0).sum() + 3.0 * _PLAIN), np.float32)
 
 
 def _sources(

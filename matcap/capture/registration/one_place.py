@@ -110,6 +110,8 @@ def _refined(
         if change is None:
             return warp, 0
         warp, count = warp @ change, int(kept.sum())
+        if count < _LEAST_TILES:  # already of the shift alone, if they show the same
+            break
     return warp, count
 
 
