@@ -538,7 +538,6 @@ def work_off(
     return exit_code(entries, strict=policy.strict)
 
 
-
 def predict(prepared: Prepared) -> dict[str, Any]:
     """Predict time, disk space and memory of the samples to do, as JSON.
 
