@@ -234,6 +234,7 @@ def _there(work: DoWork, prepare: Prepare, job: Any) -> Any:  # noqa: ANN401
 
 _POLL = 1.0  # seconds that events are waited for
 _PAGE_EVERY = 20.0  # least seconds between two updates of the index
+_START = 5.0  # seconds of one core before the first sample: libraries of batch and worker
 _LEAST_DETAIL = 128  # texels across: the least detail that is tried when memory runs out
 _FORGET = ("memory", "disk", "crash")  # failures that are not recorded: they may pass
 _AGAIN = "Free some space and run the same command again."
@@ -537,15 +538,12 @@ def work_off(
     return exit_code(entries, strict=policy.strict)
 
 
-# Predict a batch's time and disk space from the materials that it has made.
-
-
 def predict(prepared: Prepared) -> dict[str, Any]:
     """Predict time, disk space and memory of the samples to do, as JSON.
 
     From materials in the output that were made with the same steps and detail: wall time of a
-    sample on one worker, and of the whole batch if nothing else uses the processor; None before a
-    material is made. Entries whose files are no photographs by their first bytes become failed.
+    sample on one worker, and of the whole batch with its start if nothing else uses the processor;
+    None before one is made. Entries whose files are no photographs by their first bytes fail.
     """
     from matcap.photo.load import file_kind
 
@@ -556,6 +554,7 @@ def predict(prepared: Prepared) -> dict[str, Any]:
         except MatcapError as error:
             entry.state, entry.reason = "failed", str(error)
     settings, out, todo = prepared.settings, prepared.out, len(prepared.todo)
+    rounds = -(-todo // prepared.workers)
     wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
     records = (work.read_record(file.parent) for file in sorted(out.glob(f"*/{work.FILE}")))
     made = [one for one in records if one and (one.get("steps"), one.get("detail")) == wanted]
@@ -575,7 +574,7 @@ def predict(prepared: Prepared) -> dict[str, Any]:
         "materials": rows,
         "todo": todo,
         "workers": prepared.workers,
-        "seconds": None if each is None else each * -(-todo // prepared.workers),
+        "seconds": None if each is None else _START * (todo > 0) + each * rounds,
         "seconds_each": each,
         "disk_bytes": room * todo,
         "free_bytes": shutil.disk_usage(next(p for p in (out, *out.parents) if p.exists())).free,
