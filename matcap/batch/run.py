@@ -554,7 +554,8 @@ def predict(prepared: Prepared) -> dict[str, Any]:
         except MatcapError as error:
             entry.state, entry.reason = "failed", str(error)
     settings, out, todo = prepared.settings, prepared.out, len(prepared.todo)
-    rounds = -(-todo // prepared.workers)
+    workers = max(1, min(prepared.workers, todo))
+    rounds = -(-todo // workers)
     wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
     records = (work.read_record(file.parent) for file in sorted(out.glob(f"*/{work.FILE}")))
     made = [one for one in records if one and (one.get("steps"), one.get("detail")) == wanted]
@@ -573,7 +574,7 @@ def predict(prepared: Prepared) -> dict[str, Any]:
     return {
         "materials": rows,
         "todo": todo,
-        "workers": prepared.workers,
+        "workers": workers,
         "seconds": None if each is None else _START * (todo > 0) + each * rounds,
         "seconds_each": each,
         "disk_bytes": room * todo,
@@ -586,7 +587,8 @@ def predict(prepared: Prepared) -> dict[str, Any]:
 def prediction_text(known: dict[str, Any]) -> str:
     """What predict() returns as a sentence."""
     if not known["todo"]:
-        return "Nothing to do: what can be used is made."
+        failed = sum(row["status"] == "failed" for row in known["materials"])
+        return f"Nothing to do: {f'{failed} cannot be used' if failed else 'all is made'}."
     pace = "time unknown"
     if known["seconds"] is not None:
         whole, each = (spoken_duration(known[key]) for key in ("seconds", "seconds_each"))

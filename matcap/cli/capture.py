@@ -95,7 +95,8 @@ def capture(
         )
     if settings.time_limit is not None:
         settings = within_time(settings, len(photos) if together else 1, slowness())
-    samples = [tuple(photos)] if together else find_brackets(_once(photos), fov=settings.fov)
+    photos = photos if together else _once(photos)
+    samples = [tuple(photos)] if together else find_brackets(photos, fov=settings.fov)
     jobs = _jobs(samples, out)
     check_writable(out, outputs.room)
     results = []

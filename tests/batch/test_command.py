@@ -43,6 +43,9 @@ def test_a_dry_run_writes_nothing_and_forecasts_no_time(shoot, tmp_path, capsys)
     assert "1 to capture" in text and "leather: to do" in text
     assert "void: cannot be used (" in text and "void.jpg: the file is empty" in text
     assert "words: cannot be used (" in text and "but a text file" in text
+    (shoot / "leather.dng").write_text("words")
+    assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
+    assert "Nothing to do: 3 cannot be used." in capsys.readouterr().out
 
 
 def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, tmp_path, capsys):

@@ -15,7 +15,7 @@ from uniform import a_setup, photograph
 from matcap.flash.coarse.fit import fit_coarse
 from matcap.flash.coarse.problem import TiltPrior, priors
 from matcap.flash.highlight import elongation, find_highlight, light_of
-from matcap.photo.photo import SHOULDER, ToneCurve
+from matcap.photo.photo import SHOULDER, Photo, ToneCurve
 
 # The coarse fit finds what a uniform photograph was made of.
 #
@@ -409,3 +409,12 @@ def test_elongation_of_the_highlight_is_length_over_width(
     assert highlight is not None
     # A blur of 0.3 widths makes it a little rounder.
     assert 0.9 * ratio < elongation(light, highlight) < 1.05 * ratio
+
+
+def test_a_mask_that_leaves_only_what_is_clipped_is_fitted_by_its_bound():
+    shown = np.random.default_rng(0).uniform(0.1, 0.5, (128, 128, 3)).astype(np.float32)
+    shown[:, :64] = 1.0
+    clipped = shown[..., 0] >= 1.0
+    photo = Photo(shown, clipped, fov=65.0, radiometric=True, left_out=~clipped)
+    fit = fit_coarse(photo)
+    assert np.isfinite([*fit.diffuse, fit.specular, fit.roughness]).all()

@@ -240,14 +240,16 @@ def indexed(
 
     A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
     large patches: its threads are the same everywhere, and small ones swirl (with_least_steps).
-    Of others, sharpness is evened there (evenly_sharp): a soft patch shows beside a sharp one.
+    Of others, sharpness is evened there (evenly_sharp): a soft patch shows beside a sharp one. What
+    is returned beside the index is as photographed.
 
     Args:
         exemplar: the maps, rounded as in a file.
         waves: frequency vectors of the lattice, cycles per texel.
         turned: whether to rotate both upright first, 90 degrees clockwise.
         kept: (H, W) texels that the photograph shows; None for all.
-        one_light: whether relief is known along one direction at each place, as from one flash.
+        one_light: of one photograph: relief is known along one direction at each place, and
+            sharpness is that of its lens at each.
     """
     if turned:
         # Rotated by 90 degrees clockwise, frequency (fx, fy) becomes (-fy, fx).

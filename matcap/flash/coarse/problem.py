@@ -261,10 +261,11 @@ class Problem:
 
         Light is common to all channels, texture is not: channel differences separate the two.
         """
-        if int(self._whole.sum()) < _LEAST_WHOLE_CELLS:
+        counted = self._whole & (self.cells.weight > 0.0)
+        if int(counted.sum()) < _LEAST_WHOLE_CELLS:
             return self
-        rest = self.differences(parameters)[:, self._whole]
-        return replace(self, whitening=_whitening(rest, self.cells.weight[self._whole]))
+        rest = self.differences(parameters)[:, counted]
+        return replace(self, whitening=_whitening(rest, self.cells.weight[counted]))
 
     def with_estimated_noise(self, parameters: Doubles) -> Problem:
         """The problem with the prior's weight set from the residuals of a first fit."""
