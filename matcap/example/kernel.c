@@ -548,14 +548,14 @@ WIDE void matcap_discontinuity(const float *planes, const float *shown, const in
                                float *found) {
     for (int32_t i = 0; i < blocks; i++) {
         const int64_t next = corners[i + 1 < blocks ? i + 1 : i];
-        float apart[FEATURES] = {0}, sum[FEATURES] = {0}, squares[FEATURES] = {0};
+        float difference[FEATURES] = {0}, sum[FEATURES] = {0}, squares[FEATURES] = {0};
         for (int32_t k = 0; k < known; k++) {
             const float *here = planes + FEATURES * (corners[i] + texels[k]);
             PREFETCH(planes + FEATURES * (next + texels[k])); /* memory takes longer than the sums */
             LOOP
             for (int d = 0; d < FEATURES; d++) {
                 const float value = here[d], off = value - shown[FEATURES * k + d];
-                apart[d] += off * off < most ? off * off : most;
+                difference[d] += off * off < most ? off * off : most;
                 sum[d] += value;
                 squares[d] += value * value;
             }
@@ -563,7 +563,7 @@ WIDE void matcap_discontinuity(const float *planes, const float *shown, const in
         found[i] = found[blocks + i] = 0.0f;
         for (int d = 0; d < FEATURES; d++) {
             const float mean = sum[d] / (float)known;
-            found[i] += apart[d] / (float)known;
+            found[i] += difference[d] / (float)known;
             found[blocks + i] += squares[d] / (float)known - mean * mean;
         }
     }

@@ -21,7 +21,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.files.names import StagedFolder
 
 HIDDEN = ".matcap-"  # prefix of the names of hidden folders
-_ELSEWHERE = "choose another folder with -o"
+_ELSEWHERE = "choose another folder with {option}"
 _REASONS: dict[int, tuple[str, str]] = {
     errno.ENOSPC: ("the disk is full", f"free some space or {_ELSEWHERE}"),
     errno.EDQUOT: ("the disk quota is used up", f"free some space or {_ELSEWHERE}"),
@@ -165,7 +165,7 @@ def check_writable(folder: Path, space: int, names: Iterable[str] = (), option: 
         raise MatcapError.at(
             folder,
             f"about {_size(space)} are needed but the disk has {_size(free)} left",
-            f"free some space or {_ELSEWHERE.replace('-o', option)}",
+            f"free some space or {_ELSEWHERE}".format(option=option),
         )
 
 
@@ -173,7 +173,7 @@ def write_error(path: Path, error: OSError, option: str = "-o") -> MatcapError:
     """The error for a failure to write at `path`, which `option` names."""
     reason = error.strerror or str(error) or type(error).__name__
     what, remedy = _REASONS.get(error.errno or 0, (f"could not be written ({reason})", _ELSEWHERE))
-    return MatcapError.at(path, what, remedy.replace("-o", option))
+    return MatcapError.at(path, what, remedy.format(option=option))
 
 
 def sync(path: Path) -> None:

@@ -253,10 +253,10 @@ def discontinuity(donor, shown, texels, corners, most):
     """Sums over features of mean squared differences, and of variances: (2, blocks)."""
     count = np.float32(len(texels))
     copied = donor.reshape(-1, donor.shape[-1])[texels[:, None] + corners]
-    apart = np.minimum(np.square(copied - shown[:, None]), np.float32(most))
+    difference = np.minimum(np.square(copied - shown[:, None]), np.float32(most))
     # Numbers are added one after the other only along an outer axis.
-    apart, total, squares = (
-        each.sum(axis=0) / count for each in (apart, copied, np.square(copied))
+    difference, total, squares = (
+        each.sum(axis=0) / count for each in (difference, copied, np.square(copied))
     )
     variance = squares - total * total
-    return np.stack([np.cumsum(each, axis=1)[:, -1] for each in (apart, variance)])
+    return np.stack([np.cumsum(each, axis=1)[:, -1] for each in (difference, variance)])

@@ -146,8 +146,8 @@ def test_the_compiled_comparison_of_blocks_is_the_plain_one(count):
     known[3:51:2, 5:53:2].flat[random.permutation(576)[:count]] = True
     rows, columns = np.nonzero(known)
     shown, texels = seen[known], (rows - 3) * 90 + columns - 5
-    apart, variance = plain.discontinuity(donor, shown, texels, blocks @ [90, 1], 4.0)
-    expected = apart / (variance + shown.var(axis=0).sum() + 1.5)
+    difference, variance = plain.discontinuity(donor, shown, texels, blocks @ [90, 1], 4.0)
+    expected = difference / (variance + shown.var(axis=0).sum() + 1.5)
     assert np.array_equal(_discontinuity((3, 5), blocks, donor, seen, known), expected)
 
 

@@ -105,7 +105,7 @@ USUAL = tuple(name for name, way in WAYS.items() if way.group != "detail")
 def preset_ways() -> Mapping[str, str]:
     """Names of the presets by equivalent configuration, for the bench's photographs.
 
-    Only of those that make no decoder beside the exemplar.
+    Only of those without a decoder.
     """
     named: dict[str, str] = {}
     for name in (name for name, effort in PRESETS.items() if not effort.decoder_steps):

@@ -240,8 +240,8 @@ def indexed(
 
     A fine lattice is straightened in what is indexed, not in what is returned beside it, and has
     large patches: its threads are the same everywhere, and small ones swirl (with_least_steps).
-    Of others, sharpness is evened there (evenly_sharp): a soft patch shows beside a sharp one. What
-    is returned beside the index is as photographed.
+    Of others, sharpness is evened there (evenly_sharp): a soft patch shows near a sharp one. The
+    returned exemplar is as photographed.
 
     Args:
         exemplar: the maps, rounded as in a file.

@@ -134,10 +134,10 @@ def log_radiance(
     share_by = np.zeros((COUNT, share.shape[1]))
     share_by[_GEOMETRY] = (share[1:] - share[0]) / _STEP
     if not conductor:
-        share_by[INDEX.albedo] = (by_albedo.mean(0) / math.pi)[:, None] * (
-            (1.0 - share[0]) / reflected[0]
-        )
-        share_by[INDEX.specular] = -by_f0 * share[0] / reflected[0]
+        by_reflected = share[0] * (reflected[0] > _DARKEST)
+        share_by[INDEX.albedo] = by_albedo.mean(0)[:, None] / math.pi * (1.0 - by_reflected)
+        share_by[INDEX.specular] = -by_f0 * by_reflected
+        share_by[[*INDEX.albedo, *INDEX.specular]] /= reflected[0]
     return _vignetted(Linear(log[0], by), unknowns, image), Linear(share[0], share_by)
 
 
