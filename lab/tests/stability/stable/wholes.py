@@ -24,6 +24,7 @@ from matcap.capture.pipeline import capture_photo
 from matcap.capture.result import CaptureResult
 from matcap.capture.settings import CaptureSettings
 from matcap.files.settings import Rectangle
+from matcap.photo.developed import light
 from matcap.photo.left_out import leave_out
 from stable.photographs import FOV, HARD_PHOTOGRAPHS, Pixels, textured
 
@@ -148,6 +149,8 @@ def capture_set(pictures: list[Pixels], settings: CaptureSettings, name: str) ->
     Raises:
         MatcapError: they are refused.
     """
+    for pixels in pictures:
+        light(Path(name), pixels, 1.0)  # refuses what readers of files refuse
     first, *others = (
         photo_from_array(pixels, fov=FOV, radiometric=True, name=f"{name}, {number}")
         for number, pixels in enumerate(pictures)
