@@ -588,7 +588,9 @@ def prediction_text(known: dict[str, Any]) -> str:
     """What predict() returns as a sentence."""
     if not known["todo"]:
         failed = sum(row["status"] == "failed" for row in known["materials"])
-        return f"Nothing to do: {f'{failed} cannot be used' if failed else 'all is made'}."
+        made = len(known["materials"]) - failed
+        counted = [f"{made} made before"] * (made > 0) + [f"{failed} cannot be used"]
+        return f"Nothing to do: {', '.join(counted) if failed else 'all is made'}."
     pace = "time unknown"
     if known["seconds"] is not None:
         whole, each = (spoken_duration(known[key]) for key in ("seconds", "seconds_each"))

@@ -80,9 +80,9 @@ def as_text(report: dict[str, Any]) -> str:
         *(f"  {name:<32} {has or 'MISSING'}" for name, has in report["packages"].items()),
     ]
     for extra, parts in report["extras"].items():
-        missing = "" if all(parts.values()) else f'; not installed: pip install "matcap[{extra}]"'
-        listed = ", ".join(f"{name} {has or '-'}" for name, has in parts.items())
-        lines.append(f"extra {extra}: {listed}{missing}")
+        listed = ", ".join(f"{name} {has or 'missing'}" for name, has in parts.items())
+        install = "" if all(parts.values()) else f'; to install it: pip install "matcap[{extra}]"'
+        lines.append(f"extra {extra}: {listed}{install}")
     if report["self_test"] is not None:
         test = report["self_test"]
         lines.append(f"self-test: {test['fault'] or 'ok'}, {test['seconds']:.1f} s")

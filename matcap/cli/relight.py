@@ -83,7 +83,8 @@ _PIXEL_BYTES = 48  # of memory that rendering and writing a picture take
 @with_settings
 def relight(
     path: Annotated[
-        Path, typer.Argument(help="A material, a map set or a folder with either.")
+        Path,
+        typer.Argument(metavar="PATH", help="A material, a map set or a folder with either."),
     ] = Path("."),
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png.")
@@ -247,7 +248,10 @@ _SIDES, _LARGEST_PAGE = (1024, 512), 10_000_000  # default texels of a tile; byt
 @with_settings
 def view(
     path: Annotated[
-        Path, typer.Argument(help="A material, a map set's folder or a capture's folder.")
+        Path,
+        typer.Argument(
+            metavar="PATH", help="A material, a map set's folder or a capture's folder."
+        ),
     ] = Path("."),
     given: Annotated[Given, Fields(ViewOptions)] = NOTHING,
     reading: Annotated[Given, Fields(ReadOptions, but=("normals", "adjust"))] = NOTHING,
@@ -291,6 +295,6 @@ def view(
     except ImportError as error:
         raise MatcapError(
             "the page needs the extra 'view'",
-            remedy='pip install "matcap[view]", or write one file with --html',
+            remedy='run: pip install "matcap[view]"; or write one file with --html',
         ) from error
     serve(subject, shown, port=asked.port, opens=asked.opens, announce=announce)

@@ -38,13 +38,17 @@ if TYPE_CHECKING:
 class SynthCommand(PlainCommand):
     """Command whose `--tile` may have no value: both axes."""
 
+    _TILES = ("both", "x", "y", "piece")
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
         """Give a lone --tile its value."""
         words = []
         for index, argument in enumerate(args):
             after = args[index + 1] if index + 1 < len(args) else ""
             words.append(argument)
-            if argument == "--tile" and after not in ("both", "x", "y", "piece"):
+            if argument == "--tile" and after not in self._TILES:
+                if after.isalpha() and not Path(after).exists():  # no material's name
+                    values.known(after, self._TILES, "--tile")
                 words.append("both")
         return super().parse_args(ctx, words)
 
@@ -83,7 +87,8 @@ def synth(
     from matcap.cli.display import ShareDisplay
     from matcap.synth.stream import synthesise, unfinished_bytes
 
-    targets, textures = exported.get("targets", ()), exported.get("maps")
+    outputs = chosen(OutputSettings, exported)
+    targets, textures = outputs.targets, outputs.maps
     if (targets or textures) and given.get("udim"):
         raise UsageError.at(
             "--export" if targets else "--maps",
@@ -316,7 +321,8 @@ _TEXEL_BYTES = 150  # memory of an export per texel, at least
 @with_settings
 def export(
     path: Annotated[
-        Path, typer.Argument(help="A material, a map set or a folder with either.")
+        Path,
+        typer.Argument(metavar="PATH", help="A material, a map set or a folder with either."),
     ] = Path("."),
     to: Annotated[
         list[str] | None,
@@ -351,7 +357,7 @@ def export(
 
     if not to:
         names = ", ".join(targets.TARGETS)
-        raise UsageError.at("--to", "there is no target", f"choose from {names}")
+        raise UsageError.at("--to", "no target is given", f"choose from {names}")
     if len(to) > 1:
         raise UsageError.at("--to", "one target at a time", "run the command once for each")
     target = known(to[0], targets.TARGETS, "--to")

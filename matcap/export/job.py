@@ -104,7 +104,8 @@ class ExportJob:
             return ()
         width, height = self.extent
         return (
-            f"the size was not measured: the plane is {width:.3g} x {height:.3g} m; --unit sets it",
+            f"the size was not measured: the plane is {width:.3g} x {height:.3g} m; matcap export "
+            "--unit sets it, in millimetres of half the photograph's long side",
         )
 
     @property

@@ -73,7 +73,8 @@ def read_head(path: Path) -> bytes:
         MatcapError: the file is missing, not a file, empty, or unreadable.
     """
     if path.is_dir():
-        raise MatcapError.at(path, "this is a folder", "give one picture inside it")
+        remedy = "give one picture inside it; matcap batch takes a folder of photographs"
+        raise MatcapError.at(path, "this is a folder", remedy)
     try:
         if path.exists() and not path.is_file():
             raise MatcapError.at(path, "this is a pipe or a device", "save the picture to a file")

@@ -113,7 +113,7 @@ def size(text: str | int | Sequence[int]) -> Size:
     width = int(match[1]) * (_KILO if match[2] else 1)
     height = int(match[3]) * (_KILO if match[4] else 1) if match[3] else width
     if min(width, height) < 1:
-        raise ValueError(f"'{text}' has a side of zero")
+        raise ValueError(f"'{text}' has a side of zero; give 1 or more")
     return Size(width, height)
 
 
@@ -134,7 +134,7 @@ def sides(most: int) -> Callable[[str | Size], Size]:
     def parsed(text: str | Size) -> Size:
         value = size(text)
         if max(value.width, value.height) > most:
-            raise ValueError(f"'{text}' has a side of more than {most}")
+            raise ValueError(f"'{text}' has a side of more than {most}; give at most that")
         return value
 
     return parsed
@@ -149,7 +149,7 @@ def region(text: str | Rectangle) -> Rectangle:
     except ValueError:
         raise ValueError(f"'{text}' is not a rectangle such as 100,0,512,512") from None
     if width < 1 or height < 1:
-        raise ValueError(f"'{text}' has a side of zero or less")
+        raise ValueError(f"'{text}' has a side of zero or less; give 1 or more")
     if max(abs(x), abs(y), abs(x + width), abs(y + height)) > COORDINATE_LIMIT:
         raise ValueError(f"'{text}' reaches outside the field, -2^40 to 2^40")
     return Rectangle(x, y, width, height)
@@ -232,7 +232,7 @@ class Setting:
         """
         if self.words and value is not None and value not in self.words:
             remedy = nearest(str(value), self.words)
-            raise UsageError.at(where, f"there is no {self.name} {_short(value)}", remedy)
+            raise UsageError.at(where, f"there is no choice {_short(value)}", remedy)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return
         if not (math.isfinite(value) and self.least <= value <= self.most):

@@ -8,7 +8,7 @@ from kills import make_shoot
 from rich.console import Console
 from rich.progress import Progress as Bars
 
-from matcap.batch.run import prepare
+from matcap.batch.run import prediction_text, prepare
 from matcap.batch.samples import BatchSettings, Policy, ShotSample
 from matcap.batch.work import BatchEntry, measured, photo_pixels, pool_size, recorded, worker_bytes
 from matcap.capture.settings import PRESETS, CaptureSettings
@@ -46,6 +46,10 @@ def test_a_dry_run_writes_nothing_and_forecasts_no_time(shoot, tmp_path, capsys)
     (shoot / "leather.dng").write_text("words")
     assert main(["batch", str(shoot), "-o", str(out), "--dry-run"]) == 0
     assert "Nothing to do: 3 cannot be used." in capsys.readouterr().out
+    rows = [{"status": "done"}, {"status": "failed"}]
+    assert prediction_text({"todo": 0, "materials": rows}).endswith(
+        "to do: 1 made before, 1 cannot be used."
+    )
 
 
 def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, tmp_path, capsys):

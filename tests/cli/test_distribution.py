@@ -273,7 +273,10 @@ def test_the_text_names_the_command_that_installs_a_missing_extra(matcap, withou
     without("pillow-heif")
     said = matcap("doctor", "--no-self-test")
     assert said.code == 0  # extras are no need
-    assert 'not installed: pip install "matcap[heic]"' in said.out and "All is well." in said.out
+    assert (
+        'pillow-heif missing; to install it: pip install "matcap[heic]"' in said.out
+        and "All is well." in said.out
+    )
 
 
 def test_a_missing_requirement_is_a_fault(matcap, without):

@@ -77,7 +77,7 @@ def test_a_material_is_made_into_maps_that_tile(matcap, material, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        ([], 2, "--to: there is no target; choose from materialx, usd, gltf, "),
+        ([], 2, "--to: no target is given; choose from materialx, usd, gltf, "),
         (
             ["--to", "usd", "--unit", "nan"],
             2,

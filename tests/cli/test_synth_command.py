@@ -109,6 +109,8 @@ def test_a_failed_synth_leaves_no_file(matcap, material, tmp_path):
         ([material, "-o", "set", "--size", "99999999999x5"], "more than an OpenEXR file holds", 2),
         ([material, "-o", "set", "--tile", "--size", "100"], "give 96 or 112", 2),
         ([material, "-o", "set", "--udim", "11x1"], "at most 10 columns", 2),
+        ([material, "-o", "set", "--maps", "bmp"], "--maps: there is no choice 'bmp'", 2),
+        ([material, "-o", "set", "--tile", "xy"], "--tile: there is no 'xy'; ", 2),
         (
             [material, "-o", "set", "--like", "photo.jpg"],
             "--like: this applies only to a material",

@@ -96,7 +96,7 @@ def test_python_and_the_command_line_refuse_alike(capsys):
         assert main(["capture", "none.jpg", *options]) == code
     with pytest.raises(UsageError, match=r"--detail: 10 is out of range; give between 64 and 8192"):
         CaptureSettings(detail=10)
-    with pytest.raises(UsageError, match="--preset: there is no preset 'drafd'; did you mean 'd"):
+    with pytest.raises(UsageError, match="--preset: there is no choice 'drafd'; did you mean 'd"):
         CaptureSettings(preset="drafd")
     capsys.readouterr()
 
