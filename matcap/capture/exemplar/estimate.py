@@ -318,7 +318,8 @@ def scaled_to_spectrum(
 ) -> NetworkPrediction:
     """Scale relief to the measured energies, equally at all places and directions (equalise)."""
     predicted, sensitivity = prediction.residuals, observed.inputs.slope_sensitivity.numpy()
-    height = torch.from_numpy(equalise(predicted.height[0].numpy(), spectrum, sensitivity))[None]
+    planes = (predicted.height[0].numpy(), predicted.diffuse.mean(0).numpy())
+    height = torch.from_numpy(equalise(planes[0], spectrum, sensitivity, planes[1]))[None]
     return replace(prediction, residuals=replace(predicted, height=height))
 
 

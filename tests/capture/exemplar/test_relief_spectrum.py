@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import torch
 from arrays import photo_from_array
-from photographed import photographed
+from photographed import photographed, whole_plane
 from typer.testing import CliRunner
 
-from matcap.capture.exemplar.estimate import measured_spectrum
-from matcap.capture.exemplar.network.network import network_inputs
+from matcap.capture.exemplar.estimate import measured_spectrum, scaled_to_spectrum
+from matcap.capture.exemplar.network.network import load_inverse, network_inputs
+from matcap.capture.exemplar.predict import predict_maps
 from matcap.capture.exemplar.relief_spectrum import (
     BANDS,
     DIRECTIONS,
@@ -24,13 +25,16 @@ from matcap.capture.exemplar.relief_spectrum import (
     equalise,
     filled,
     measure_relief_spectrum,
+    slope_energies,
     slope_spectrum,
     split,
+    undrawn_factors,
 )
 from matcap.capture.rectified import Observation
 from matcap.cli.main import command_line
 from matcap.files.color import srgb_encode
 from matcap.flash.coarse.fit import fit_coarse
+from matcap.flash.light import render_flash
 from matcap.flash.rectify import read_plane
 
 # Relief's and albedo's strength in closed form, against simulated truth.
@@ -411,3 +415,54 @@ def test_a_bowl_is_no_relief() -> None:
     bowl = (60.0 * (x**2 + y**2)).astype(np.float32)
     left = equalise(height + bowl, None) - _even()
     assert left.std() < 0.05 * bowl.std()
+
+
+# Depth that networks draw where it is dark.
+
+
+def test_dark_places_of_a_cloth_are_no_pits() -> None:
+    """Flat, with yarns of 11 texels and spots of 45: the network draws slopes of both."""
+    shot, rng = photographed(1e-4, 0.0, width=640, height=480), np.random.default_rng(0)
+    y, x = np.mgrid[0:480, 0:640] / np.float32(1.0)
+
+    def clouds(deviation: float) -> np.ndarray:
+        noise = cv2.GaussianBlur(rng.standard_normal(y.shape), (0, 0), deviation)
+        return (noise / noise.std()).astype(np.float32)
+
+    yarns = np.sin((x + 2.0 * clouds(6.0)) * 0.57) * np.sin((y + 2.0 * clouds(6.0)) * 0.7)
+    tone = torch.from_numpy((0.9 * yarns + 0.2 * clouds(9.0) + 0.1 * clouds(1.0)).astype("f"))
+    cloth = replace(shot.maps, diffuse=0.4 * shot.maps.diffuse * tone.exp())
+    linear = render_flash(cloth, shot.uniform.setup, shot.points)
+    coarse = replace(shot.uniform, diffuse=tuple(cloth.diffuse.mean((1, 2)).tolist()))
+    with torch.no_grad():
+        observed, predicted = predict_maps(
+            Observation.of(whole_plane(linear), coarse), load_inverse()
+        )
+        spectrum = measured_spectrum(observed)
+        even = scaled_to_spectrum(observed, predicted, spectrum)
+    before, after = (
+        np.sqrt(slope_energies(each.residuals.height[0].numpy())) for each in (predicted, even)
+    )
+    assert before[0] > 0.2 * before[3] and after[0] < 0.1 * after[3]
+    assert before[1] > 0.1 * before[3] and after[1] < 0.1 * after[3]
+
+
+@pytest.mark.parametrize(
+    ("measured", "own", "least", "most"),
+    [(0.0, 0.0, 0.0, 0.2), (0.0, 2.0, 0.9, 1.0), (3.0, 0.0, 0.9, 1.0)],
+)
+def test_long_waves_keep_what_is_measured_or_their_own(measured, own, least, most) -> None:
+    """Depth in proportion to wavelength, in place of a depth in proportion to log albedo."""
+    tone = np.stack(split(np.random.default_rng(1).standard_normal((256, 256)).astype("f")))[:-1]
+    more = np.stack(split(np.random.default_rng(2).standard_normal((256, 256)).astype("f")))[:-1]
+    length = np.sqrt(np.prod(BANDS, axis=1))
+    height = length[:, None, None] * (tone + own * more)
+    slope = np.zeros((len(BANDS), DIRECTIONS))
+    slope[3] = np.sqrt(measured / np.sqrt(DIRECTIONS))
+    spectrum = ReliefSpectrum(slope, slope, np.full_like(slope, 1.0))
+    wanted = np.square(tone).mean((1, 2))
+    wanted[4:] = 0.0
+    factors = undrawn_factors(wanted, height, tone, spectrum)
+    assert (factors[3:] == 1.0).all() and least <= np.sqrt(factors[0]) <= most
+    negative = undrawn_factors(wanted, -height, tone, spectrum)
+    assert negative == pytest.approx(1.0, abs=1e-3)
