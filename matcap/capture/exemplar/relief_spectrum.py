@@ -507,7 +507,7 @@ def undrawn_factors(
     height's energy that follows log albedo (0 if what is dark is high), the steepest band r, its
     measured energy S_r and deviation d_r, and e = 1 / a_b - 1, longer bands b have the factor
 
-        (1 - max(0, 1 - D_r / D_b) / (1 + (S_r / d_r)^2 + (e / _FOLLOWING)^2))^2.
+        (1 - max(0, 1 - D_r / D_b) / (1 + (S_r / d_r)^4 + (e / _FOLLOWING)^2))^2.
 
     Args:
         wanted: (bands,) squared slopes.
@@ -523,7 +523,7 @@ def undrawn_factors(
     measured = np.square(spectrum.slope[steepest]).sum() / spectrum.deviation[steepest]
     own = (energy * tone / np.square(both) - 1.0)[:steepest] / _FOLLOWING
     factors = np.ones(len(wanted))
-    factors[:steepest] -= deeper / (1.0 + measured**2 + np.square(own))
+    factors[:steepest] -= deeper / (1.0 + measured**4 + np.square(own))
     return np.square(factors)
 
 
