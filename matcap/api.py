@@ -77,7 +77,7 @@ def capture(path: str | Path, *others: str | Path, **settings: Any) -> Material:
         m = matcap.capture("leather.dng", preset="instant")
         maps = m.maps(1024, 1024, seed=7)
     """
-    from matcap.capture.pipeline import capture_file
+    from matcap.capture.run import capture_file
     from matcap.capture.settings import CaptureSettings
 
     for one in (path, *others):

@@ -23,7 +23,7 @@ from PIL import Image
 from repeats import lit
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.pipeline import capture_file
+from matcap.capture.run import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.field.material import Material
 from matcap.flash.geometry import FlashSetup

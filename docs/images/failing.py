@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.pipeline import capture_file
 from matcap.capture.preview import panels
+from matcap.capture.run import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.flash.geometry import FlashSetup
 from matcap_lab.simulate.files import write_jpeg

@@ -26,7 +26,7 @@ from PIL import Image
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.pipeline import capture_file
+from matcap.capture.run import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.color import srgb_picture
 from matcap_lab.bench.floors import exemplar_maps

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.pipeline import capture_file
+from matcap.capture.run import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.files.color import srgb_picture
 from matcap_lab.simulate.photograph import PhoneCamera, as_photo

@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.pipeline import read_photograph
 from matcap.capture.rectified import fit_photograph, tilt_document
+from matcap.capture.run import read_photograph
 from matcap.capture.settings import DETAIL, CaptureSettings
 
 LEAST = 0.75

@@ -372,8 +372,9 @@ def _fault(error: MatcapError) -> Fault:
 def _do(job: BatchJob, on_progress: OnProgress) -> dict[str, Any]:
     from matcap.capture.bracket import find_brackets
     from matcap.capture.inspection import photograph_quality
-    from matcap.capture.pipeline import capture_photo, read_exposures
+    from matcap.capture.pipeline import capture_photo
     from matcap.capture.report import write_outputs
+    from matcap.capture.run import read_exposures
 
     started = time.perf_counter()
     on_progress(Progress("reading", 0.0))
@@ -490,6 +491,7 @@ def settle_threads() -> None:
     Also keeps freed memory for the process's next capture.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ["OMP_NUM_THREADS"] = "1"  # of at_once, too
     import cv2
     import torch
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import NamedTuple
@@ -311,6 +311,10 @@ class SurfaceParameters:
         """Maps, clamped to the limits; texel_size in plane units."""
         return MapSet(*self.reflectance(), self.height * texel_size, texel_size)
 
+    def map(self, change: Callable[[Tensor], Tensor]) -> SurfaceParameters:
+        """The parameters with `change` applied to each."""
+        return SurfaceParameters(*(change(getattr(self, f.name)) for f in fields(self)))
+
     def __add__(self, other: SurfaceParameters) -> SurfaceParameters:
         return SurfaceParameters(
             *(getattr(self, f.name) + getattr(other, f.name) for f in fields(self))
@@ -323,7 +327,7 @@ class SurfaceParameters:
 
     def to(self, like: Tensor) -> SurfaceParameters:
         """Converted to a tensor's device and dtype."""
-        return SurfaceParameters(*(getattr(self, f.name).to(like) for f in fields(self)))
+        return self.map(lambda values: values.to(like))
 
     def vector(self) -> Tensor:
         """(5,) ALBEDO, F0 and ROUGH of a flat, uniform surface."""

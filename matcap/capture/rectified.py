@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -26,10 +27,11 @@ from matcap.capture.exemplar.network.network import (
 )
 from matcap.capture.exemplar.relief_spectrum import smoothed
 from matcap.capture.settings import DETAIL
-from matcap.field.source import one_thread
 from matcap.files.color import srgb_slope
+from matcap.files.threads import at_once, one_thread
 from matcap.flash.alignment import tilt_measurement
-from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
+from matcap.flash.coarse.fit import CoarseFit, Measured, fit_coarse, rescale_to_flash
+from matcap.flash.coarse.problem import TiltPrior
 from matcap.flash.diffuse_share import blur
 from matcap.flash.geometry import flash_mirror_point, points_of
 from matcap.flash.light import (
@@ -71,8 +73,12 @@ def fit_photograph(photo: Photo, *, measured: bool = True, metal: bool | None = 
         measured: whether to use the alignment branch.
         metal: whether the material is metal; None to decide by the photograph.
     """
-    prior = tilt_measurement(photo) if measured else None
-    fitted = fit_coarse(photo, tilt_prior=prior, known_metal=metal)
+
+    def tilt() -> TiltPrior | None:
+        return tilt_measurement(photo) if measured else None
+
+    prior, seen = at_once(tilt, partial(Measured.of, photo))
+    fitted = fit_coarse(photo, tilt_prior=prior, known_metal=metal, measured=seen)
     return rescale_to_flash(fitted, photo.flash_intensity)
 
 
@@ -316,10 +322,13 @@ def _by_strips(
     """Incident.log_radiance() of maps on their own relief, in the light of each strip of rows."""
     log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
     normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
-    for rows in strips(height, cached_rows(width)):
+
+    def shaded(rows: slice) -> None:
         cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
         incidence = light(rows, slice(None)).flash.onto(normal[..., rows, :])
         log[..., rows, :], share[..., rows, :] = incidence.log_radiance(Reflectance(*cut))
+
+    at_once(*(partial(shaded, rows) for rows in strips(height, cached_rows(width))))
     return log, share
 
 

@@ -11,8 +11,8 @@ import json
 import math
 import platform
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from matcap.example.exemplar import CHANNELS
 from matcap.files.exr import write_exr_channels
 from matcap.files.names import MAKER_VERSION, read_document
 from matcap.files.output import Output
+from matcap.files.threads import at_once
 from matcap.photo.checks import Rating
 
 if TYPE_CHECKING:
@@ -74,13 +75,13 @@ def write_outputs(result: CaptureResult, folder: Path, settings: OutputSettings)
         _confidence_file(name),
         "error.png",  # of earlier versions
     ]
-    # Drawing the preview takes as long as writing the rest, mostly on one thread: do both at once.
-    # The pool exits first, then the stage publishes all files.
-    with Output(folder, older).stage() as stage, ThreadPoolExecutor(1) as pool:
-        written = pool.submit(_write_material, result, stage, name, settings)
-        write_preview(result, stage / PREVIEW)
+    with Output(folder, older).stage() as stage:
+        # Drawing the preview takes as long as writing the rest.
+        at_once(
+            partial(write_preview, result, stage / PREVIEW),
+            partial(_write_material, result, stage, name, settings),
+        )
         write_report(result, stage / REPORT)
-        written.result()
     if settings.targets or settings.maps:
         from matcap.export.targets import engine_maps, export_mapset
     if settings.maps:

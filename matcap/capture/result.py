@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from matcap.capture.verdict.judge import CaptureVerdict, judge
 from matcap.capture.verdict.measurements import Measurements, measure_capture
 from matcap.field.material import Material
 from matcap.field.source import Generator
+from matcap.files.threads import at_once, one_thread
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
 from matcap.photo.photo import Photo, quarter_turn, standing
@@ -141,6 +143,7 @@ class CaptureResult:
         }
 
 
+@one_thread()
 def judge_material(
     rectified: Rectified,
     material: Material,
@@ -158,21 +161,29 @@ def judge_material(
     """
     photo, plane, turned = rectified.photo, rectified.whole, material.setup.turned
     with clock.completed("verdict"):
-        maps = material.maps(*(plane.size[::-1] if turned else plane.size), seed=settings.seed)
-        with torch.inference_mode():
-            rerendered = picture_of(render_rectified(maps, material.setup))
+
+        def shown() -> tuple[MapSet, NDArray[np.float32]]:
+            size = plane.size[::-1] if turned else plane.size
+            maps = material.maps(*size, seed=settings.seed)
+            with torch.inference_mode():
+                return maps, picture_of(render_rectified(maps, material.setup))
+
+        def measured() -> ExemplarMeasurements | None:
+            seed = settings.seed if tuning is None else None
+            if estimate is None:
+                return None
+            return ExemplarMeasurements.of(estimate, rectified, material.setup, seed)
+
+        (maps, rerendered), inspected, about = at_once(
+            shown, partial(checked, photo, rectified.coarse, plane), measured
+        )
         # Pictures are measured in landscape format.
         landscape = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
         whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
         compared = np.where(kept, whole, landscape)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
-        about = None
-        if estimate is not None:
-            seed = settings.seed if tuning is None else None
-            about = ExemplarMeasurements.of(estimate, rectified, material.setup, seed)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
-        inspected = checked(photo, rectified.coarse, plane)
         measurements = measure_capture(
             photo, setup, compared, landscape, valid, rectified.waves, about, inspected
         )

@@ -185,8 +185,8 @@ def _capture(
     spent: float,
 ) -> dict[str, Any]:
     began = time.perf_counter()
-    from matcap.capture.pipeline import capture_into
     from matcap.capture.report import no_repeat, set_warnings
+    from matcap.capture.run import capture_into
     from matcap.files.process import returning_memory
 
     spent += time.perf_counter() - began

@@ -175,7 +175,7 @@ def _photo(
 ) -> tuple[dict[str, Any], Inspection, list[str]]:
     """Checks of a photograph for JSON, and themselves, with lines of what else is measured."""
     from matcap.capture.inspection import inspect_file, inspected
-    from matcap.capture.pipeline import read_exposures
+    from matcap.capture.run import read_exposures
 
     if others:
         settings = CaptureSettings(detail=detail, fov=fov, white=white)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -32,6 +31,7 @@ from matcap.example.repeat import BLOCKS, RepeatedSource
 from matcap.field.header import opened
 from matcap.field.plane import Grid, Period, Rectangle, check_period, check_seed, check_variety
 from matcap.files.settings import bounded
+from matcap.files.threads import at_once
 
 if TYPE_CHECKING:
     import torch
@@ -272,14 +272,13 @@ class Example:
     def _prepared(self) -> _Ready:
         exemplar, bits = self.exemplar, detail_bits(self.exemplar)
         coarse = coarsened(exemplar, bits)
-        with ThreadPoolExecutor() as pool:
-            bands = pool.submit(bands_of, coarse)
-            lookup = prepare(coarse, self.index, self.variety)
-            maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness, exemplar.height)
-            planes = tuple(plane for planes in maps for plane in planes)
-            correlations = _seam_correlations(lookup, bands.result())
-            shown = ExemplarBands(planes, bands.result(), correlations, bits)
-            return _Ready(lookup, shown)
+        bands, lookup = at_once(
+            partial(bands_of, coarse), partial(prepare, coarse, self.index, self.variety)
+        )
+        maps = (exemplar.diffuse, exemplar.specular, exemplar.roughness, exemplar.height)
+        planes = tuple(plane for planes in maps for plane in planes)
+        shown = ExemplarBands(planes, bands, _seam_correlations(lookup, bands), bits)
+        return _Ready(lookup, shown)
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields alone, without cached properties."""

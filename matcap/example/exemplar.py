@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from matcap.brdf.stated import SPECULAR_CHANNELS, stated_specular
+from matcap.files.threads import at_once
 
 # Compressed integer arrays: differences along rows, low bytes before high bytes, deflate.
 #
@@ -205,20 +206,15 @@ class Exemplar:
             codes = unpack(tensor("height"), (1, rows, columns), np.uint16)
             return _height(codes, math.ldexp(0.5, exponent), low)
 
-        with ThreadPoolExecutor() as pool:
-            diffuse, specular, roughness = (
-                pool.submit(halves, name) for name in ("diffuse", "specular", "roughness")
-            )
-            height = pool.submit(heights)
-            trusted = unpack(tensor("confidence"), (len(CHANNELS), rows, columns), np.uint8)
-            return Exemplar(
-                diffuse=diffuse.result(),
-                specular=specular.result(),
-                roughness=roughness.result(),
-                height=height.result(),
-                confidence=_confidence(trusted),
-                texel_size=float(about["texel_size"]),
-            )
+        def confidence() -> Floats:
+            shape = len(CHANNELS), rows, columns
+            return _confidence(unpack(tensor("confidence"), shape, np.uint8))
+
+        names = ("diffuse", "specular", "roughness")
+        tasks: list[Callable[[], Floats]] = [partial(halves, name) for name in names]
+        diffuse, specular, roughness, height, known = at_once(*tasks, heights, confidence)
+        size = float(about["texel_size"])
+        return Exemplar(diffuse, specular, roughness, height, known, size)
 
 
 def _check_size(width: int, height: int) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -46,6 +45,7 @@ from matcap.example.lattice import (
     with_least_borders,
 )
 from matcap.example.placement import RULE, Placement, trend_penalty
+from matcap.files.threads import at_once
 
 # Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
 #
@@ -189,14 +189,16 @@ def build_index(
     if lattice is not None:
         count = min(count, _ordered_levels(lattice))
     grids = grids_of(features, count)
-    steps = [step_of(level) for level in range(count)]
-    with ThreadPoolExecutor() as pool:
-        bases = list(pool.map(choose_basis, grids, steps))
-        appearances = list(pool.map(project, grids, bases))
-        candidates = list(pool.map(partial(_similar, shown), range(count), appearances))
-    penalty = _low_confidence(exemplar)
-    if one_light:
-        penalty = np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
+
+    def candidates_of(level: int) -> tuple[Basis, Candidates]:
+        basis = choose_basis(grids[level], step_of(level))
+        return basis, _similar(shown, level, project(grids[level], basis))
+
+    def of_levels() -> tuple[tuple[Basis, Candidates], ...]:
+        return at_once(*(partial(candidates_of, level) for level in range(count)))
+
+    levels, penalty = at_once(of_levels, partial(_penalty, exemplar, planes if one_light else None))
+    bases, candidates = [basis for basis, _ in levels], [each for _, each in levels]
     outstanding = _outstanding(candidates, penalty < _KNOWN)
     penalty = np.maximum(penalty, _MARK * outstanding)
     places = [
@@ -264,6 +266,14 @@ def _square_means(plane: NDArray[np.floating]) -> NDArray[np.floating]:
     rows, columns = plane.shape
     whole = np.pad(plane, ((0, -rows % side), (0, -columns % side)), mode="edge")
     return whole.reshape(whole.shape[0] // side, side, -1, side).mean(axis=(1, 3))
+
+
+def _penalty(exemplar: Exemplar, planes: NDArray[np.float32] | None) -> NDArray[np.float64]:
+    """Penalties of low confidence, and of what departs by a trend of `planes`, if there is one."""
+    penalty = _low_confidence(exemplar)
+    if planes is None:
+        return penalty
+    return np.maximum(penalty, trend_penalty(planes, penalty < _KNOWN))
 
 
 def _low_confidence(exemplar: Exemplar) -> NDArray[np.float64]:
@@ -448,8 +458,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     part = index.part or Frame.of(*exemplar.size)
     features = features_of(planes_of(exemplar), index.scale)
     grids = grids_of(features, len(index.bases))
-    with ThreadPoolExecutor() as pool:
-        appearances = list(pool.map(project, grids, index.bases))
+    appearances = at_once(*(partial(project, *one) for one in zip(grids, index.bases, strict=True)))
     cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
     lattice, coarsest = kept_lattice(index, variety), len(appearances) - 1
     sizes = PatchSizes.of(frame_of(coarsest, part), 1 << coarsest, lattice, variety)

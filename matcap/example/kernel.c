@@ -53,7 +53,7 @@ typedef struct {
 } Place;
 
 /* Version of results and arguments, as in library.py: a library of another version is not used. */
-enum { FORM = 5 };
+enum { FORM = 6 };
 
 int32_t matcap_form(void) { return FORM; }
 
@@ -565,6 +565,25 @@ WIDE void matcap_discontinuity(const float *planes, const float *shown, const in
             const float mean = sum[d] / (float)known;
             found[i] += difference[d] / (float)known;
             found[blocks + i] += squares[d] / (float)known - mean * mean;
+        }
+    }
+}
+
+/* inpaint._solved: image = diagonal * values - sum of values at the four neighbours, in their order,
+   of texels x channels; a neighbour of number `texels` has the value 0. */
+enum { SIDES = 4 };
+
+WIDE void matcap_laplacian(const float *values, const int64_t *neighbours, const float *diagonal,
+                           int32_t texels, int32_t channels, float *image) {
+    for (ptrdiff_t i = 0; i < texels; i++) {
+        float *own = image + i * channels;
+        for (int32_t c = 0; c < channels; c++)
+            own[c] = values[i * channels + c] * diagonal[i];
+        for (int side = 0; side < SIDES; side++) {
+            const int64_t other = neighbours[SIDES * i + side];
+            if (other < texels)
+                for (int32_t c = 0; c < channels; c++)
+                    own[c] -= values[other * channels + c];
         }
     }
 }

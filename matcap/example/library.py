@@ -118,7 +118,7 @@ def same_cells(
 
 # Loads the compiled loops (kernel.c).
 
-_FORM = 5  # version of kernel.c's interface
+_FORM = 6  # version of kernel.c's interface
 
 
 @cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,9 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
 from matcap.field.plane import BLOCK, BlockPart, Period, Rectangle, block_parts, check_rectangle
-from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inner, single_threaded
+from matcap.field.source import MAP_CHANNELS, Generated, Generator, Source, inner
+from matcap.files.threads import single_threaded
+from matcap.files.threads import workers as most
 
 # The device that computes blocks: the processor or CUDA, and its support of bfloat16.
 
@@ -125,7 +126,7 @@ class Field:
             UsageError: an empty rectangle, or coordinates beyond 2^40.
         """
         wanted = check_rectangle(Rectangle(x, y, width, height))
-        return read_source(self.source, wanted, workers or os.cpu_count() or 1)
+        return read_source(self.source, wanted, workers or most())
 
 
 def read_source(source: Source, wanted: Rectangle, workers: int) -> MapSet:

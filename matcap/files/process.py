@@ -38,7 +38,7 @@ def raise_on_signals() -> Callable[[], bool]:
     def raised(number: int, frame: FrameType | None) -> None:
         came.append(number)
         # Their C++ aborts at an exception: again when they are imported.
-        if _importing("torch") or _importing("OpenImageIO"):
+        if importing("torch") or importing("OpenImageIO"):
             again = threading.Timer(0.05, os.kill, (os.getpid(), number))
             again.daemon = True
             again.start()
@@ -51,7 +51,7 @@ def raise_on_signals() -> Callable[[], bool]:
     return lambda: bool(came)
 
 
-def _importing(name: str) -> bool:
+def importing(name: str) -> bool:
     """Whether a module's import has begun and not ended."""
     spec = getattr(sys.modules.get(name), "__spec__", None)
     return getattr(spec, "_initializing", False)

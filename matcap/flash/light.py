@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import torch
@@ -22,6 +22,7 @@ from matcap.brdf.cook_torrance import (
     specular_lobe,
 )
 from matcap.brdf.maps import MapSet, by_slopes, normals_from_slopes
+from matcap.files.threads import at_once
 from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, project
 
 # The flash's light on a surface: the differentiable renderer of flash photographs.
@@ -298,7 +299,8 @@ def _picture(maps: MapSet, points: Tensor, light_at: Callable[[Tensor], FlashLig
         return light_at(points[..., rows, :]).onto(normals, exact=True).radiance(*materials)
 
     height, width = points.shape[-2:]
-    return torch.cat([some(rows) for rows in strips(height, cached_rows(width))], dim=-2)
+    parts = (partial(some, rows) for rows in strips(height, cached_rows(width)))
+    return torch.cat(at_once(*parts), dim=-2)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -12,6 +13,7 @@ import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.files.threads import at_once
 from matcap.flash.geometry import Extent, FlashSetup, Margins, setup_rotation
 from matcap.photo.left_out import CLIPPED_SHARE, area_averaged
 from matcap.photo.photo import Photo
@@ -230,12 +232,17 @@ def read_plane(photo: Photo, setup: FlashSetup, detail: int) -> Plane:
         setup: its geometry; only field of view and tilt matter here.
         detail: texels along the long side.
     """
-    linear, valid = rectify(photo, setup, detail)
-    full = _resampled(photo.full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
+
+    def noisy() -> Tensor | None:
+        if photo.noise is None:
+            return None
+        return planes_of(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
+
+    def bounded() -> NDArray[np.float32]:
+        return _resampled(photo.full.astype(np.float32), setup, detail, cv2.INTER_LINEAR)
+
+    (linear, valid), noise, full = at_once(partial(rectify, photo, setup, detail), noisy, bounded)
     shown = inside(valid.shape, setup) & kept(photo, setup, detail)
-    noise = None
-    if photo.noise is not None:
-        noise = planes_of(_resampled(photo.noise, setup, detail, cv2.INTER_CUBIC))
     return replace(
         plane_of(linear, valid, noise, photo.headroom),
         # A sparkle clipped in red can still be valid in green and blue.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,7 @@ from matcap.errors import MatcapError, UsageError
 from matcap.example.example import Example
 from matcap.field.plane import Rectangle
 from matcap.files.color import srgb_decode, srgb_picture
-from matcap.files.process import cores
+from matcap.files.threads import workers
 from matcap.relight.block import Block, Hits, Round, ShadingContext, shape_of
 from matcap.relight.camera import Array, view_of
 from matcap.relight.effects import (
@@ -469,19 +468,13 @@ def _blocks(size: tuple[int, int], *, whole_tiles: bool) -> Iterator[Cut]:
 
 def _in_parallel(work: Callable[[Cut], None], blocks: list[Cut], progress: OnShare) -> None:
     """Call `work` on all blocks in threads; report the share finished, in the blocks' order."""
-    pool = ThreadPoolExecutor(_workers())
+    pool = ThreadPoolExecutor(workers())
     try:
         for done, _ in enumerate(pool.map(work, blocks), start=1):
             progress(done / len(blocks))
     finally:
         # After an interruption, wait for running items only.
         pool.shutdown(cancel_futures=True)
-
-
-def _workers() -> int:
-    """Number of threads: OMP_NUM_THREADS, else the cores this process may use."""
-    limit = os.environ.get("OMP_NUM_THREADS", "")
-    return int(limit) if limit.isdigit() and int(limit) > 0 else cores()
 
 
 def encode(radiance: NDArray[np.float32], film: Film) -> NDArray[np.float32]:

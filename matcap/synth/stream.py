@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from matcap.brdf.folder import MEANINGS, mapset_files, preview_name
 from matcap.errors import MatcapError
 from matcap.field.plane import BlockPart
-from matcap.field.source import compute_alone, single_threaded
 from matcap.files.names import StagedFolder, plain_name
 from matcap.files.output import Output, check_output, check_writable
 from matcap.files.process import (
@@ -36,6 +35,7 @@ from matcap.files.process import (
     settle_child,
     starting_children,
 )
+from matcap.files.threads import compute_alone, single_threaded
 from matcap.synth.pictures import (
     Assembly,
     PreviewPicture,

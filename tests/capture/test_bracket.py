@@ -22,8 +22,8 @@ from matcap.capture.bracket import (
     merge_bracket,
     unmerged,
 )
-from matcap.capture.pipeline import read_exposures
 from matcap.capture.registration.one_place import alignment, way_of_camera, way_of_highlight
+from matcap.capture.run import read_exposures
 from matcap.capture.settings import CaptureSettings
 from matcap.cli.main import main
 from matcap.errors import MatcapError, UsageError

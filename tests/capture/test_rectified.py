@@ -19,7 +19,6 @@ from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.capture import preview, rectified
 from matcap.capture.inspection import inspect_file
-from matcap.capture.pipeline import capture_file, capture_into
 from matcap.capture.rectified import (
     coarse_share,
     fit_photograph,
@@ -28,6 +27,7 @@ from matcap.capture.rectified import (
     tilt_document,
 )
 from matcap.capture.report import OutputSettings, write_outputs
+from matcap.capture.run import capture_file, capture_into
 from matcap.capture.settings import DETAIL, CaptureSettings
 from matcap.field.material import Material
 from matcap.field.opened import open_photographed

@@ -14,9 +14,10 @@ from report_schema import check_report
 from matcap.brdf.maps import MapSet
 from matcap.capture import by_decoder
 from matcap.capture.by_decoder import choose, photograph_target
-from matcap.capture.pipeline import capture_into, capture_photo
+from matcap.capture.pipeline import capture_photo
 from matcap.capture.rectified import Method, Rectified, fit_photograph
 from matcap.capture.report import read_report
+from matcap.capture.run import capture_into
 from matcap.capture.settings import (
     BOTH_STAGES,
     DRAWING_STAGES,
@@ -89,6 +90,23 @@ def test_every_stage_has_its_share_and_is_reported_in_order(captured, generator,
     # With what ends a decoder's capture, matching, too.
     again = result.material.maps(*result.maps.size, generator=generator or "example")
     assert torch.equal(again.stacked(), result.maps.stacked())
+
+
+@pytest.mark.capture
+@pytest.mark.usefixtures("two_threads")
+def test_a_capture_is_the_same_by_two_threads(captured, monkeypatch, tmp_path):
+    """Highlight, relief and inpainting of a photograph with all of them."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    _, folder, _ = captured("example")
+    settings = replace(SETTINGS, generator="example")
+    capture_into(tmp_path / "tile", [PHOTO], settings, OutputSettings((32, 32)))
+    assert torch.get_num_threads() == 2
+    names = [path.name for path in folder.iterdir() if path.suffix != ".json"]
+    assert len(names) == 7
+    for name in names:
+        assert (folder / name).read_bytes() == (tmp_path / "tile" / name).read_bytes(), name
+    by_one, again = (read_report(each / "report.json") for each in (folder, tmp_path / "tile"))
+    assert again["verdict"] == by_one["verdict"]
 
 
 def test_a_time_limit_leaves_room_for_what_comes_after():

@@ -9,6 +9,7 @@ import pytest
 from random_maps import random_maps
 
 from matcap.capture import pipeline as capturing
+from matcap.capture import run as reading
 from matcap.capture.result import CaptureResult, Tuning
 from matcap.capture.settings import RunStatus
 from matcap.capture.verdict.judge import judge
@@ -100,7 +101,7 @@ class FakePipeline:
 def pipeline(monkeypatch) -> FakePipeline:
     """The capture pipeline replaced; the command line and all its files stay real."""
     fake = FakePipeline()
-    monkeypatch.setattr(capturing, "load_photo", fake.load_photo)
+    monkeypatch.setattr(reading, "load_photo", fake.load_photo)
     monkeypatch.setattr(capturing, "capture_photo", fake.capture_photo)
     monkeypatch.setattr(capturing_command, "slowness", lambda: 1.0)  # of any machine
     return fake

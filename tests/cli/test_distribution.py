@@ -233,7 +233,7 @@ def test_several_photographs_of_one_piece_are_read_together(monkeypatch):
         read.extend([path, *others, settings.union])
         return SimpleNamespace(material="one")
 
-    monkeypatch.setattr("matcap.capture.pipeline.capture_file", captured)
+    monkeypatch.setattr("matcap.capture.run.capture_file", captured)
     assert matcap.capture("a.dng", "b.dng", "c.dng", union=True) == "one"
     assert read == ["a.dng", "b.dng", "c.dng", True]
 

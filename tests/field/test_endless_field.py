@@ -5,9 +5,10 @@ import random
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 
 import pytest
@@ -24,7 +25,7 @@ from matcap.field.material import Material
 from matcap.field.opened import open_tile
 from matcap.field.options import ReadOptions
 from matcap.field.plane import Rectangle
-from matcap.field.source import one_thread, single_threaded
+from matcap.files.threads import at_once, one_thread, single_threaded
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.freeze import Drawing, reference_field
 from matcap.space.random_field import Patch, noise_field, wave_field
@@ -303,3 +304,49 @@ def test_one_thread_is_for_its_context_alone_and_restores_the_number_after_an_er
         assert torch.get_num_threads() == 1
         raise ValueError
     assert torch.get_num_threads() == 2
+
+
+@pytest.fixture(params=["1", "2", "3"])
+def some_workers(request, monkeypatch, two_threads):
+    monkeypatch.setenv("OMP_NUM_THREADS", request.param)
+    return int(request.param)
+
+
+def test_tasks_at_once_are_as_many_as_allowed_and_each_computes_on_one_core(some_workers):
+    inside, most, lock = set(), [], threading.Lock()
+
+    def task(number, depth):
+        with lock:
+            inside.add(threading.get_ident())
+            most.append(len(inside))
+        found = at_once(*(partial(task, n, depth - 1) for n in range(3))) if depth else (number,)
+        time.sleep(0.002)
+        with lock:
+            inside.discard(threading.get_ident())
+        return threads_after_an_operator(), torch.is_grad_enabled(), found
+
+    with torch.no_grad():
+        results = at_once(*(partial(task, number, 1) for number in range(6)))
+    assert [alone for alone, _, _ in results] == [1] * 6
+    assert not any(gradients for _, gradients, _ in results)
+    assert [found[2][0] for found in results[4][2]] == [0, 1, 2]
+    assert max(most) <= some_workers and threads_after_an_operator() == 2
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+@pytest.mark.parametrize("place", [0, 1, 5])
+def test_an_error_of_one_task_is_raised_when_no_other_is_running(some_workers, error, place):
+    running, begun = [], []
+
+    def task(number):
+        begun.append(number)
+        running.append(number)
+        time.sleep(0.005)
+        running.remove(number)
+        if number == place:
+            raise error(str(number))
+
+    with pytest.raises(error, match=str(place)):
+        at_once(*(partial(task, number) for number in range(40)))
+    assert not running and len(begun) < 40
+    assert at_once(partial(int, "1"), partial(str, 2)) == (1, "2")

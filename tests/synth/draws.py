@@ -12,7 +12,8 @@ import torch
 
 from matcap.field.field import read_source
 from matcap.field.plane import Grid, Rectangle, block_parts
-from matcap.field.source import inner, single_threaded
+from matcap.field.source import inner
+from matcap.files.threads import single_threaded
 
 PLACES = (0, 2**31, 2**40)
 

@@ -220,7 +220,7 @@ PROGRAM = """
 import resource, sys
 from matcap.space.decoder import DecoderConfig
 from matcap.space.random_field import Rectangle
-from matcap.field.source import single_threaded
+from matcap.files.threads import single_threaded
 from matcap.files.process import keep_memory
 from matcap.space.tuned import TunedDecoder
 

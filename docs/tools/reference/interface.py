@@ -22,7 +22,8 @@ plane units, half the photograph's long side.
 # Beyond `import matcap`: what the guide uses.
 MODULES = {
     "matcap.capture.settings": ("CaptureSettings", "resolve"),
-    "matcap.capture.pipeline": ("capture_file", "capture_photo", "CaptureResult"),
+    "matcap.capture.run": ("capture_file",),
+    "matcap.capture.pipeline": ("capture_photo", "CaptureResult"),
     "matcap.photo.photo": ("Photo",),
     "matcap.flash.geometry": ("FlashSetup",),
     "matcap.brdf.cook_torrance": ("cook_torrance",),

@@ -18,9 +18,9 @@ import torch
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview.mosaic import STEEPEST
-from matcap.capture.pipeline import capture_file
 from matcap.capture.registration.camera import PosedCamera, grid_points
 from matcap.capture.result import CaptureResult
+from matcap.capture.run import capture_file
 from matcap.capture.settings import CaptureSettings
 from matcap.example.exemplar import Exemplar
 from matcap.field.material import Material

@@ -29,9 +29,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from matcap.brdf.maps import COLOURED, DIFFUSE, SPECULAR, MapSet, specular_channels
-from matcap.capture.pipeline import capture_photo, read_photograph
+from matcap.capture.pipeline import capture_photo
 from matcap.capture.rectified import Method
 from matcap.capture.result import CaptureResult
+from matcap.capture.run import read_photograph
 from matcap.capture.settings import QUICK_DETAIL, CaptureSettings
 from matcap.field.field import computes_bfloat16
 from matcap.field.material import Material

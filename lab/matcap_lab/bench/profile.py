@@ -134,7 +134,7 @@ def main(arguments: Sequence[str]) -> None:
     """Capture a photograph and print the cost of its stages as JSON."""
     photograph, preset = arguments
     keep_memory()  # as `matcap capture` does, before large libraries are imported
-    from matcap.capture.pipeline import capture_into
+    from matcap.capture.run import capture_into
 
     costs, began = StageCosts({}, {}, {}), time.perf_counter()
     start, before = time.process_time(), _peak()

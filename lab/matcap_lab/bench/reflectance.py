@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.pipeline import capture_photo, read_photograph
+from matcap.capture.pipeline import capture_photo
+from matcap.capture.run import read_photograph
 from matcap.capture.settings import CaptureSettings
 from matcap.capture.verdict.judge import visible
 from matcap.errors import MatcapError

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import cv2
@@ -32,7 +32,7 @@ from matcap.example.exemplar import Exemplar
 from matcap.example.lattice import PhasedLattice, measure_lattice
 from matcap.example.library import address, loops
 from matcap.example.placement import texture_trend
-from matcap.field.source import one_thread
+from matcap.files.threads import at_once, one_thread
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
@@ -189,12 +189,14 @@ def transport(
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     if not places:
         return exemplar, None
-    planes = _map_planes(exemplar, ~hidden)
+    planes, trend = at_once(
+        partial(_map_planes, exemplar, ~hidden), partial(_trend, exemplar, ~hidden)
+    )
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
-    choice = _Donors(donors, ~hidden, _trend(exemplar, ~hidden), _lattice(planes, relative, waves))
+    choice = _Donors(donors, ~hidden, trend, _lattice(planes, relative, waves))
     chosen = _choose(places, choice, planes, photograph)
     del photograph, choice  # 80 MB of 1024 texels across, which composing has other use for
     source, copied = _sources(chosen, hidden)
@@ -271,12 +273,10 @@ class _Photograph:
     def match(self, place: tuple[int, int], blocks: BlockPlaces) -> _Match:
         """Render blocks at a place and compare them with the photograph there."""
         blocks = np.concatenate([blocks, [place]])
-        inner = np.arange(0, _BLOCK, _THINNED)
-        rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
-        reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
         here = tuple(slice(start, start + _BLOCK, _THINNED) for start in place)
         light = self._light.cut(*here)
-        log = light.flash.onto(normal).log_radiance(reflectance)[0]
+        parts = (partial(self._rendered, some, light) for some in np.array_split(blocks, 2))
+        log = torch.cat(at_once(*parts))
         seen = self._valid[here].to(log)
         share = float(self._valid[_block(place)].float().mean())
         if not seen.any():
@@ -290,6 +290,13 @@ class _Photograph:
         energy_ratio = float(photographed / (lit[len(lit) // 2 : -1].median() + 1e-6))
         own = float(lit[-1] / (photographed + 1e-6))
         return _Match(np.asarray(mismatch[:-1], np.float32), energy_ratio, own, share)
+
+    def _rendered(self, blocks: BlockPlaces, light: PhotographLight) -> Tensor:
+        """(N, 3, h, w) log radiance of blocks (N, 2) in the light of a place, thinned."""
+        inner = np.arange(0, _BLOCK, _THINNED)
+        rows, columns = blocks[:, 0, None, None] + inner[:, None], blocks[:, 1, None, None] + inner
+        reflectance, normal = _parts(torch.from_numpy(self._maps[rows, columns]).movedim(-1, 1))
+        return light.flash.onto(normal).log_radiance(reflectance)[0]
 
 
 def _parts(planes: Tensor) -> tuple[Reflectance, Tensor]:
@@ -369,9 +376,15 @@ def _choose(
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
     for place in places:
         here, blocks = _block(place), donors.candidates(place, chosen, rng)
-        mismatch = _discontinuity(place, blocks, donor, seen, known)
-        mismatch += _REUSED * _shown_before(blocks, ~known[here], copied)
-        mismatch += _UNLIKE * _departure(donors.trend, place, blocks)
+
+        def misfit(some: BlockPlaces, place: tuple[int, int] = place) -> Floats:
+            mismatch = _discontinuity(place, some, donor, seen, known)
+            mismatch += _REUSED * _shown_before(some, ~known[_block(place)], copied)
+            mismatch += _UNLIKE * _departure(donors.trend, place, some)
+            return mismatch
+
+        parts = (partial(misfit, some) for some in np.array_split(blocks, 2))
+        mismatch = np.concatenate(at_once(*parts))
         nearest = np.argsort(mismatch, kind="stable")[:_RENDERED]
         nearest = np.concatenate([nearest, np.arange(min(_RENDERED, len(blocks)))])
         blocks, mismatch = blocks[nearest], mismatch[nearest]
@@ -578,8 +591,12 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
     inside, here = free[box], source[:, *box]
     result = maps.copy()
     copied = maps[:, here[0], here[1]]
-    each = zip(maps, copied, strict=True)  # one map at a time, as there are a dozen like it
-    wanted = np.stack([_mismatches(*one, here, free)[inside] for one in each])
+
+    def wanted_of(plane: Floats, copied: Floats) -> NDArray[np.float64]:
+        return _mismatches(plane, copied, here, free)[inside]
+
+    each = zip(maps, copied, strict=True)
+    wanted = np.stack(at_once(*(partial(wanted_of, *one) for one in each)))
     result[:, *box][:, inside] = copied[:, inside] + _solved(wanted, inside, reach)
     return result
 
@@ -612,24 +629,20 @@ def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats
     Right and c are (C, N), of the N free texels.
     """
     neighbours, degree = _free_neighbours(free)
-    diagonal = degree + np.float32(reach**-2)
-    padded = np.zeros((len(degree) + 1, len(right)), np.float32)  # neighbours that are not free: 0
-    image, some = np.empty_like(padded[:-1]), np.empty_like(padded[:-1])
+    diagonal, known = degree + np.float32(reach**-2), np.ascontiguousarray(right.T, np.float32)
+    image, sizes = np.empty_like(known), [ctypes.c_int32(side) for side in known.shape]
+    graph = address(neighbours), address(diagonal)
 
     def product(values: Floats) -> Floats:
-        padded[:-1] = values
-        np.multiply(values, diagonal, out=image)
-        for each in neighbours:
-            np.subtract(image, np.take(padded, each, 0, some, "clip"), out=image)
+        loops().matcap_laplacian(address(values), *graph, *sizes, address(image))
         return image
 
-    known = np.ascontiguousarray(right.T, np.float32)
     # In exact arithmetic as many iterations as unknowns suffice.
     return conjugate_gradients(product, known, len(known), tolerance=_TOLERANCE).T
 
 
-def _free_neighbours(free: TexelMask) -> tuple[list[NDArray[np.int64]], Floats]:
-    """Of N free texels, the four neighbours' (N,) numbers, and the (N, 1) number of neighbours.
+def _free_neighbours(free: TexelMask) -> tuple[NDArray[np.int64], Floats]:
+    """Of N free texels, the four neighbours' numbers (N, 4), and the number of neighbours (N,).
 
     Texels that are not free have the number N.
     """
@@ -638,8 +651,8 @@ def _free_neighbours(free: TexelMask) -> tuple[list[NDArray[np.int64]], Floats]:
     in_box = np.pad(np.ones(free.shape, np.float32), 1)
     within, before, after = slice(1, -1), slice(None, -2), slice(2, None)
     sides = ((before, within), (after, within), (within, before), (within, after))
-    degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1, keepdims=True)
-    return [number[side][free] for side in sides], degree
+    degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1)
+    return np.stack([number[side][free] for side in sides], axis=1), degree
 
 
 def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

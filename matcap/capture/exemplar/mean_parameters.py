@@ -24,8 +24,8 @@ from matcap.brdf.cook_torrance import (
 from matcap.brdf.maps import normals_from_height
 from matcap.capture.rectified import Observation
 from matcap.example.exemplar import Exemplar
-from matcap.field.source import one_thread
 from matcap.files.color import LUMINANCE
+from matcap.files.threads import one_thread
 from matcap.flash.coarse.cells import CRUSHED
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0, Gaussian
 from matcap.flash.least_squares import Doubles, huber, minimised

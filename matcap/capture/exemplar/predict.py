@@ -34,6 +34,7 @@ from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, Net
 from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
 from matcap.capture.rectified import Observation, channel_weights, seen_share
 from matcap.example.exemplar import Exemplar
+from matcap.files.threads import computing, workers
 from matcap.flash.coarse.problem import Gaussian
 from matcap.flash.light import DARKEST
 
@@ -159,9 +160,10 @@ def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
         answer: Tensor = network(part)
         return answer[0, :, down : down + height, across : across + width]
 
-    total = shifted(0, 0) + 0.0
-    for down, across in ((0, 1), (1, 0), (1, 1)):
-        total += shifted(down, across)
+    with computing(workers()):  # shifts at once would need more memory
+        total = shifted(0, 0) + 0.0
+        for down, across in ((0, 1), (1, 0), (1, 1)):
+            total += shifted(down, across)
     return total / 4.0
 
 

@@ -38,9 +38,11 @@ and are left out.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -77,8 +79,9 @@ from matcap.capture.exemplar.relief_spectrum import (
 )
 from matcap.capture.rectified import Observation, PhotographLight, channel_weights
 from matcap.example.exemplar import Exemplar
+from matcap.files.threads import at_once
 from matcap.flash.coarse.problem import CONDUCTOR_F0, DIELECTRIC_F0
-from matcap.flash.light import DARKEST
+from matcap.flash.light import DARKEST, cached_rows, strips
 
 Floats = NDArray[np.float32]
 
@@ -137,7 +140,11 @@ def refine_maps(
         spectrum: measured in the photograph, or None.
         finest: central differences on this grid, not on a finer one, show the slopes of relief.
     """
-    plane, fitted = observed.plane, fitted_to_highlight(observed, prediction)
+    plane, metal = observed.plane, prediction.classes.metal_share
+    fitted, matte = at_once(
+        partial(fitted_to_highlight, observed, prediction),
+        partial(without_glints, plane, observed.coarse, metal=bool(metal.any())),
+    )
     steep = scaled_by_glints(
         fitted.residuals, plane.linear, plane.measured, observed.light, observed.noise, spectrum
     )
@@ -145,8 +152,6 @@ def refine_maps(
         height = torch.from_numpy(with_slopes_of_means(steep.height[0].numpy()))
         steep = replace(steep, height=height[None])
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
-    metal = fitted.classes.metal_share
-    matte = without_glints(plane, observed.coarse, metal=bool(metal.any()))
     photograph = matte.linear, observed.shown
     refined = refine_albedo(
         fitted.residuals,
@@ -388,42 +393,72 @@ def refine_albedo(
         metal: (1, H, W) share of metal in each texel.
         noise: standard deviation of the photograph's log radiance; (3, H, W) or one number.
     """
-    observed = linear.clamp_min(DARKEST).log()
-    valid = valid.expand_as(linear)
+    valid, every = valid.expand_as(linear), slice(None)
     albedo = errors.albedo.exp().square()
-    colour = albedo * _CHROMA**2
-    maps = light.maps(residuals)
-    incidence = light.flash.onto(maps.normal)
-    log, shares = incidence.log_radiance(maps)
+    metal = torch.as_tensor(metal).to(linear).expand_as(residuals.height)
     white = torch.as_tensor(noise).to(linear).expand_as(linear).clamp_min(_LEAST_NOISE)
-    weights = channel_weights(white)
-    specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
-    for step in range(_STEPS):
-        if step:
-            log, shares = incidence.log_radiance(light.maps(residuals))
-        difference = _log_difference(observed, log, valid)
-        difference = (difference - _slow(difference, valid)).clamp(-_MOST_CHANGE, _MOST_CHANGE)
-        informative = valid | (difference > 0.0)
-        share = (weights * shares).sum(0, keepdim=True)
-        # d log L / d log albedo, and of metal / d log F0.
-        sensitivity = (1.0 - metal) * share + metal * (1.0 - share)
-        counts = weights * informative
-        counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
-        grey = (counts * difference).sum(0, keepdim=True)
-        specular_variance = (specular_noise * (1.0 - share)).square()
-        # The channels' noise is taken as fully correlated, as development blurs it to blotches.
-        variance = (counts * white).sum(0, keepdim=True).square() + specular_variance
-        common = sensitivity * albedo * grey / (sensitivity.square() * albedo + variance)
-        # A clipped channel that is bright enough gives no information on colour.
-        chroma = torch.where(informative, difference - grey, 0.0)
-        variance = shares.square() * colour + white.square() + specular_variance
-        chroma = chroma * shares * colour / variance
-        residuals = replace(
-            residuals,
-            diffuse=residuals.diffuse + (1.0 - metal) * (common + chroma),
-            specular=residuals.specular + metal * common,
+    normal = light.maps(residuals).normal
+    diffuse, specular = residuals.diffuse.clone(), residuals.specular.clone()
+    residuals = replace(residuals, diffuse=diffuse, specular=specular)
+    difference, shares = torch.empty_like(linear), torch.empty_like(linear)
+
+    def compared(rows: slice) -> None:
+        here = light.cut(rows, every)
+        maps = here.maps(residuals.map(lambda planes: planes[..., rows, :]))
+        log, shares[:, rows] = here.flash.onto(normal[:, rows]).log_radiance(maps)
+        observed = linear[:, rows].clamp_min(DARKEST).log()
+        difference[:, rows] = _log_difference(observed, log, valid[:, rows])
+
+    def stepped(rows: slice, slow: Tensor) -> None:
+        common, chroma = _albedo_step(
+            (difference[:, rows] - slow[:, rows]).clamp(-_MOST_CHANGE, _MOST_CHANGE),
+            valid[:, rows],
+            shares[:, rows],
+            albedo[:, rows],
+            white[:, rows],
+            metal[:, rows],
         )
+        diffuse[:, rows] += (1.0 - metal[:, rows]) * (common + chroma)
+        specular[:, rows] += metal[:, rows] * common
+
+    parts = strips(linear.shape[1], cached_rows(linear.shape[2]))
+    for _ in range(_STEPS):
+        at_once(*(partial(compared, rows) for rows in parts))
+        slow = _slow(difference, valid)
+        at_once(*(partial(stepped, rows, slow) for rows in parts))
     return residuals
+
+
+def _albedo_step(
+    difference: Tensor, valid: Tensor, shares: Tensor, albedo: Tensor, white: Tensor, metal: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Changes (1, H, W) of log albedo, of metal log F0, in all channels; (3, H, W) of its chroma.
+
+    Args:
+        difference: (3, H, W) log radiance, photographed less rendered.
+        valid: (3, H, W) bool.
+        shares: (3, H, W) diffuse share of the radiance.
+        albedo: (1, H, W) prior variance.
+        white: (3, H, W) standard deviation of the noise.
+        metal: (1, H, W) share of metal.
+    """
+    weights, colour = channel_weights(white), albedo * _CHROMA**2
+    informative = valid | (difference > 0.0)
+    share = (weights * shares).sum(0, keepdim=True)
+    # d log L / d log albedo, and of metal / d log F0.
+    sensitivity = (1.0 - metal) * share + metal * (1.0 - share)
+    counts = weights * informative
+    counts = counts / counts.sum(0, keepdim=True).clamp_min(1e-6)
+    grey = (counts * difference).sum(0, keepdim=True)
+    specular_noise = _SPECULAR_NOISE + (_SPECULAR_NOISE_METAL - _SPECULAR_NOISE) * metal
+    specular_variance = (specular_noise * (1.0 - share)).square()
+    # The channels' noise is taken as fully correlated, as development blurs it to blotches.
+    variance = (counts * white).sum(0, keepdim=True).square() + specular_variance
+    common = sensitivity * albedo * grey / (sensitivity.square() * albedo + variance)
+    # A clipped channel that is bright enough gives no information on colour.
+    chroma = torch.where(informative, difference - grey, 0.0)
+    variance = shares.square() * colour + white.square() + specular_variance
+    return common, chroma * shares * colour / variance
 
 
 @torch.no_grad()
@@ -479,11 +514,12 @@ def _slow(difference: Tensor, valid: Tensor) -> Tensor:
     """Low-frequency part (3, H, W) of a difference, over valid texels."""
     deviation = max(valid.shape) / WIDE
     weights = valid.expand_as(difference).numpy().astype(np.float32) + np.float32(1e-4)
-    planes = [
-        smoothed(plane * weight, deviation) / smoothed(weight, deviation)
-        for plane, weight in zip(difference.clamp(-1, 1).numpy(), weights, strict=True)
-    ]
-    return torch.from_numpy(np.stack(planes))
+
+    def slow(plane: Floats, weight: Floats) -> Floats:
+        return smoothed(plane * weight, deviation) / smoothed(weight, deviation)
+
+    planes = zip(difference.clamp(-1, 1).numpy(), weights, strict=True)
+    return torch.from_numpy(np.stack(at_once(*(partial(slow, *each) for each in planes))))
 
 
 def scaled_by_glints(
@@ -516,13 +552,15 @@ def scaled_by_glints(
     rendered = light.rendered(maps)[0].mean(0).numpy()
     photograph = linear.clamp_min(DARKEST).log().mean(0).numpy()
     variance = (noise.square().mean(0) / 3.0).numpy()
-    squares = [_squared_bands(photograph, r, around) for r in (region, matte)]
+    shown = itertools.product((photograph, rendered), (region, matte))
+    tasks = (partial(_squared_bands, plane, where, around) for plane, where in shown)
+    *squares, rough, dull_rough = at_once(*tasks)
     diluted = np.square(1.0 - specular_fraction).clip(1e-8)
     share = diluted[region].mean() / diluted[matte].mean()
     raw = squares[0][:, region].mean(1), squares[1][:, matte].mean(1)
     glossy = _denoised(raw[0], float(variance[region].mean()))
     dull = share * _denoised(raw[1], float(variance[matte].mean()))
-    whole, flat = (_squared_bands(rendered, r, around)[:, r].mean(1) for r in (region, matte))
+    whole, flat = rough[:, region].mean(1), dull_rough[:, matte].mean(1)
     # If both regions are equally sensitive to slope, relief and albedo are hardly separable.
     relief = (whole - share * flat).clip(0.5 * whole) + 1e-12
     scatter = _scatter(squares[1], matte) / math.sqrt(max(1.0, _CELLS**2 * float(region.mean())))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
@@ -16,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.files.process import cores
+from matcap.files.threads import at_once
 from matcap.photo.left_out import area_averaged
 
 # Longest and shortest wavelength of each band, texels.
@@ -76,27 +75,32 @@ def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> 
 
     Longest band first, the rest last; they sum to the plane.
     """
-    return [of_planes[0] for of_planes in split_all([plane], bands)]
+    waves, shares = _waves_of(plane), _shares(plane.shape, tuple(bands))
+    return list(at_once(*(partial(_of_waves, waves, share, plane.shape) for share in shares)))
 
 
 def split_all(
     planes: Sequence[ChannelPlane], bands: Sequence[tuple[float, float]]
 ) -> Iterator[list[ChannelPlane]]:
     """Band by band, the components of planes of one size, as `split` orders them."""
-    height, width = planes[0].shape
-    # cv2.dct requires even sides.
-    even = [(0, side % 2) for side in planes[0].shape]
-    waves = [cv2.dct(np.pad(plane, even, mode="edge").astype(np.float32)) for plane in planes]
-    for share in _shares(waves[0].shape, tuple(bands)):
-        yield [_of_waves(each, share, height, width) for each in waves]
+    shape = planes[0].shape
+    waves = at_once(*(partial(_waves_of, plane) for plane in planes))
+    for share in _shares(shape, tuple(bands)):
+        yield list(at_once(*(partial(_of_waves, each, share, shape) for each in waves)))
+
+
+def _waves_of(plane: ChannelPlane) -> ChannelPlane:
+    """Cosine transform of a plane, whose sides are made even."""
+    even = [(0, side % 2) for side in plane.shape]
+    return np.asarray(cv2.dct(np.pad(plane, even, mode="edge").astype(np.float32)), np.float32)
 
 
 @lru_cache(maxsize=1)
 def _shares(
     shape: tuple[int, ...], bands: tuple[tuple[float, float], ...]
 ) -> tuple[ChannelPlane, ...]:
-    """(H, W) each: share of a cosine transform that is in each of the bands, and in the rest."""
-    rows, columns = (np.arange(side) / (2.0 * side) for side in shape)
+    """(H, W) each: share of a plane's cosines that is in each of the bands, and in the rest."""
+    rows, columns = (np.arange(side) / (2.0 * side) for side in (n + n % 2 for n in shape))
     octave = np.log2(np.maximum(np.hypot(rows[:, None], columns), 1e-9)).astype(np.float32)
     passed = [_ramp(octave + np.float32(np.log2(longest))) for longest, _ in bands]
     below = [*passed[1:], np.zeros_like(octave)]
@@ -111,9 +115,9 @@ def _long_waves(share: ChannelPlane) -> ChannelPlane:
     return np.ascontiguousarray(share[:rows, :columns]) if few else share
 
 
-def _of_waves(waves: NDArray[Any], share: ChannelPlane, height: int, width: int) -> ChannelPlane:
+def _of_waves(waves: NDArray[Any], share: ChannelPlane, shape: tuple[int, ...]) -> ChannelPlane:
     """The plane whose cosine transform is `share` of `waves`, without what was padded."""
-    (down, across), (rows, columns) = waves.shape, share.shape
+    (down, across), (rows, columns), (height, width) = waves.shape, share.shape, shape
     if rows == down:
         return np.ascontiguousarray(cv2.idct(waves * share)[:height, :width])
     long = waves[:rows, :columns] * share
@@ -335,15 +339,16 @@ def slope_spectrum(height: NDArray[np.float32]) -> Doubles:
     power = float(np.square(window).sum())
     across = np.gradient(height, axis=1)
     up = -np.gradient(height, axis=0)
-    total = np.zeros_like(window)
-    count = 0
     # One transform of both: the terms of either that are not its own cancel in symmetric bins.
     both = across + 1j * up
-    for cut in _windows(height.shape):
+
+    def energy(cut: tuple[slice, slice]) -> Doubles:
         waves = np.fft.fft2((both[cut] - both[cut].mean()) * window)
-        total += np.square(waves.real) + np.square(waves.imag)
-        count += 1
-    return np.sqrt(_sums(total, _bins()) / power / window.size / max(1, count))
+        return np.asarray(np.square(waves.real) + np.square(waves.imag), np.float64)
+
+    windows = _windows(height.shape)
+    total = sum(at_once(*(partial(energy, cut) for cut in windows)), np.zeros_like(window))
+    return np.sqrt(_sums(total, _bins()) / power / window.size / max(1, len(windows)))
 
 
 def _hann() -> Doubles:
@@ -480,9 +485,8 @@ def equalise(
         (share, _weight(angle, seen))
         for angle, share in _directions(tuple(side + 2 * margin for side in height.shape))
     ]
-    with ThreadPoolExecutor(cores()) as pool:  # each holds a spectrum and its copies
-        evened = partial(_evened, margin=margin, directions=directions)
-        even = np.stack(list(pool.map(evened, bands)))
+    evened = (partial(_evened, band, margin, directions) for band in bands)
+    even = np.stack(at_once(*evened))  # each holds a spectrum and its copies
     wanted = slope_energies(height)
     if spectrum is not None:
         wanted = wanted * posterior_factors(BandEnergies.of(wanted, spectrum))

@@ -60,7 +60,7 @@ from matcap.capture.registration.register import Registration
 from matcap.capture.settings import CaptureClock, RunStatus
 from matcap.example.example import Example
 from matcap.example.exemplar import Exemplar
-from matcap.field.source import one_thread
+from matcap.files.threads import one_thread
 from matcap.flash.coarse.fit import CoarseFit, fit_coarse, rescale_to_flash
 from matcap.flash.rectify import Plane, read_plane
 from matcap.photo.photo import Photo

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import cv2
@@ -22,6 +23,7 @@ from matcap.capture.verdict.causes import (
     highlight_profile,
     measure_causes,
 )
+from matcap.files.threads import at_once
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.rectify import Plane, plane_of, planes_of
@@ -123,17 +125,22 @@ def measure_capture(
     # Both are clipped at the camera's limit.
     limit = photo.headroom
     pictures = np.minimum(rectified, limit), np.minimum(rerendered, limit)
-    smooth = _smooth(pictures[0]), _smooth(pictures[1])
-    tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
     developed = not (photo.radiometric or photo.floating)
-    colour, light = smooth_difference(*smooth)
-    highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
     inside = valid | (rectified > FULL * limit).any(axis=2)
     plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=limit)
     rendering = planes_of(pictures[1])
-    texture, regions = texture_difference(plane, rendering)
-    contrast, where = texture_contrasts(pictures[0], tiles, developed=developed)
-    pits, spot = dark_spots(pictures, valid)
+
+    def of_contrast() -> tuple[Any, ...]:
+        tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
+        return texture_contrasts(pictures[0], tiles, developed=developed)
+
+    (texture, regions), (contrast, where), (pits, spot), of_the_light = at_once(
+        partial(texture_difference, plane, rendering),
+        of_contrast,
+        partial(dark_spots, pictures, valid),
+        partial(_light_measures, pictures, exemplar),
+    )
+    colour, light, highlights, causes = of_the_light
     regions |= where | spot
     if (seen := highlights[0] or highlights[1]) is not None:
         regions["highlight"] = _around(seen, rectified.shape)
@@ -147,10 +154,20 @@ def measure_capture(
         contrast=contrast,
         order=_order(plane, rendering, waves) if waves else None,
         exemplar=exemplar,
-        causes=measure_causes(smooth, pictures, highlights, exemplar),
+        causes=causes,
         pits=pits,
         regions={name: upright_region(photo, region) for name, region in regions.items()},
     )
+
+
+def _light_measures(
+    pictures: tuple[Picture, Picture], exemplar: ExemplarMeasurements
+) -> tuple[Any, ...]:
+    """Colour and light (smooth_difference), highlights and causes of two pictures (H, W, 3)."""
+    smooth = _smooth(pictures[0]), _smooth(pictures[1])
+    highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
+    causes = measure_causes(smooth, pictures, highlights, exemplar)
+    return *smooth_difference(*smooth), highlights, causes
 
 
 def _around(highlight: Highlight, shape: tuple[int, ...]) -> Region:
@@ -332,8 +349,11 @@ def texture_difference(plane: Plane, rendering: Tensor) -> tuple[float, dict[str
         return describe(torch.stack(cut), plane.encoding, bank)
 
     with torch.inference_mode():
-        here, neighbour = described(plane.linear, 0), described(plane.linear, WINDOW)
-        there = described(rendering, 0)
+        here, neighbour, there = at_once(
+            partial(described, plane.linear, 0),
+            partial(described, plane.linear, WINDOW),
+            partial(described, rendering, 0),
+        )
         own = float(distance(neighbour, here, weights).median())
         differs = distance(there, here, weights)
     x, y = places[int(differs.argmax())]

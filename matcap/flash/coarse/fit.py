@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,12 +107,29 @@ class CoarseFit(Uniform):
         return replace(self, diffuse=(red, green, blue), specular=specular, setup=setup)
 
 
+class Measured(NamedTuple):
+    """What a photograph is fitted by, beside its tilt."""
+
+    highlight: Highlight | None
+    cells: tuple[CoarseCells, ...]
+    """On each of _GRIDS."""
+    share: DiffuseShare | None
+
+    @staticmethod
+    def of(photo: Photo) -> Measured:
+        """Measure a photograph."""
+        highlight = find_highlight(light_of(photo.pixels))
+        cells = tuple(cells_of(photo, highlight, *grid) for grid in _GRIDS)
+        return Measured(highlight, cells, diffuse_share_of(photo, highlight))
+
+
 def fit_coarse(
     photo: Photo,
     *,
     tilt: tuple[float, float] | None = None,
     tilt_prior: TiltPrior | None = None,
     known_metal: bool | None = None,
+    measured: Measured | None = None,
 ) -> CoarseFit:
     """Fit a uniform material and its setup to a photograph, in about a second.
 
@@ -120,10 +138,9 @@ def fit_coarse(
         tilt: (tilt_x, tilt_y) in radians, held fixed; None to fit them.
         tilt_prior: Gaussian measurement of the tilt, used as its prior.
         known_metal: whether it is metal, if that is known; None to decide by probability.
+        measured: in the photograph; None to measure it.
     """
-    highlight = find_highlight(light_of(photo.pixels))
-    coarse, fine = (cells_of(photo, highlight, *grid) for grid in _GRIDS)
-    share = diffuse_share_of(photo, highlight)
+    highlight, (coarse, fine), share = measured or Measured.of(photo)
     problems = [
         _problem(photo, coarse, highlight, priors(photo, tilt, tilt_prior, conductor=metal), metal)
         for metal in (False, True)

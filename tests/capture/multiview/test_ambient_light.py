@@ -32,10 +32,11 @@ from matcap.capture.multiview.views import (
     evenly_lit,
     without_ambient,
 )
-from matcap.capture.pipeline import capture_into, capture_photo
+from matcap.capture.pipeline import capture_photo
 from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.report import warnings
+from matcap.capture.run import capture_into
 from matcap.capture.settings import CaptureSettings, OutputSettings
 from matcap.flash.geometry import FlashSetup
 

@@ -20,6 +20,7 @@ from matcap.brdf.cook_torrance import ALBEDO, SurfaceParameters
 from matcap.brdf.maps import CHANNELS
 from matcap.errors import MatcapError
 from matcap.files.tensors import StoredTensors
+from matcap.files.threads import one_thread
 from matcap.flash.geometry import camera_in_plane
 from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 
@@ -250,9 +251,12 @@ class _ResidualBlock(nn.Module):
             self.second.weight.mul_(0.3)
 
     def forward(self, x: Tensor) -> Tensor:
-        y = self.first(F.leaky_relu(self.before(x), _SLOPE, inplace=True))
-        y = F.leaky_relu(self.between(y), _SLOPE, inplace=True)
-        return self.second(y).add_(self.shortcut(x))
+        with one_thread():  # sums over the picture, in an order that depends on it
+            y = self.before(x)
+        y = self.first(F.leaky_relu(y, _SLOPE, inplace=True))
+        with one_thread():
+            y = self.between(y)
+        return self.second(F.leaky_relu(y, _SLOPE, inplace=True)).add_(self.shortcut(x))
 
 
 def _doubled(planes: Tensor) -> Tensor:
@@ -273,6 +277,7 @@ def _weightings(parts: NetworkInputs) -> Tensor:
     return torch.cat([valid, valid * relief, valid * parts.gloss], dim=1)
 
 
+@one_thread()
 def _means(features: Tensor, weights: Tensor) -> Tensor:
     """(B, _WEIGHTINGS * C) weighted means of |features| (B, C, H, W)."""
     total = weights.sum((2, 3)).clamp_min(1e-6)
