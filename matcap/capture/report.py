@@ -235,6 +235,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
             "vignetting": setup.vignetting,
             "vignetting_quartic": setup.vignetting_quartic,
             "vignetting_centre": list(setup.vignetting_centre),
+            "vignetting_colour": list(setup.vignetting_colour),
             "tone_curve": photo.tone and asdict(photo.tone),
         },
         "texel_size": result.material.texel_size,

@@ -111,8 +111,10 @@ def stated_setup(stated: Mapping[str, Any]) -> dict[str, Any]:
         "vignetting_quartic": bounded(
             stated["vignetting_quartic"], "vignetting_quartic", -20.0, 20.0
         ),
-        "vignetting_centre": several("vignetting_centre", 2, -10.0, 10.0)
-        if "vignetting_centre" in stated
-        else (0.0, 0.0),
+        **{
+            key: several(key, count, -10.0, 10.0)
+            for key, count in (("vignetting_centre", 2), ("vignetting_colour", 3))
+            if key in stated
+        },
         "turned": stated.get("turned", False) is True,
     }

@@ -21,7 +21,7 @@ Metadata:
     name: of the photograph.
     texel_size: of the default generator, plane units.
     setup: camera and flash: `fov` (degrees), `offset`, `tilt` (radians), `intensity`, `vignetting`,
-        `vignetting_quartic`, `vignetting_centre` (absent: the picture's middle), and `turned`:
+        `vignetting_quartic`, `vignetting_centre`, `vignetting_colour` (absent: 0), and `turned`:
         true where setup is of the photograph in landscape orientation and the maps are in portrait.
     provenance: how it was made.
     example: `exemplar` and `index`, descriptions of their tensors; absent without an exemplar.
@@ -224,8 +224,8 @@ class Material:
             "setup": {
                 key: value
                 for key, value in asdict(self.setup).items()
-                # Absent where it is the picture's middle, as in files of before it was fitted.
-                if key != "vignetting_centre" or any(value)
+                # Absent where they are 0, as in files of before they were fitted.
+                if key not in ("vignetting_centre", "vignetting_colour") or any(value)
             },
             "provenance": dict(self.provenance),
         }

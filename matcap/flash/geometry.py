@@ -41,6 +41,8 @@ class FlashSetup:
     """b of the falloff; large for a flash that lights a cone."""
     vignetting_centre: tuple[float, float] = (0.0, 0.0)
     """Image coordinates from which r is measured: a flash need not light along the lens's axis."""
+    vignetting_colour: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Added to a in each channel, with mean 0: white LEDs are yellower off their axis."""
     turned: bool = False
     """The photograph is a portrait: both frames are those of the picture rotated 90 degrees
     anticlockwise, to landscape, but maps are upright."""

@@ -230,9 +230,11 @@ def cached_rows(width: int) -> int:
 
 
 def vignette(points: Tensor, setup: FlashSetup) -> Tensor:
-    """(..., 1, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
+    """(..., 3, H, W) share of light that reaches the sensor from plane points (..., 3, H, W)."""
     place = from_vignetting_centre(points.movedim(-3, 0), setup)
-    return log_vignette(place, setup.vignetting, setup.vignetting_quartic).exp().unsqueeze(-3)
+    lost = (setup.vignetting + more for more in setup.vignetting_colour)
+    logs = [log_vignette(place, each, setup.vignetting_quartic) for each in lost]
+    return torch.stack(logs, -3).exp()
 
 
 def from_vignetting_centre(points: Tensor, setup: FlashSetup) -> Tensor:

@@ -144,25 +144,35 @@ class View:
         return across[None, :], down[:, None]
 
     def share(self, top: int, bottom: int) -> Array:
-        """(bottom - top, W) vignetting: exp(-(v r^2 + q r^4)), r = 1 in a 4:3 picture's corner."""
+        """(3, bottom - top, W) vignetting: exp(-(v r^2 + q r^4)), r = 1 in corners of 4:3."""
         offsets = zip(self.screen(top, bottom), self.camera.vignetting_centre, strict=True)
         across, down = (place / self.reach - middle for place, middle in offsets)
         squared = (across * across + down * down) / _CORNER_SQUARED
-        exponent = squared * (self.camera.vignetting + self.camera.vignetting_quartic * squared)
-        return np.exp(-exponent).astype(np.float32)
+        quartic = self.camera.vignetting_quartic * squared
+        exponents = [squared * (first + quartic) for first in self._vignetting]
+        return np.exp(-np.stack(exponents)).astype(np.float32)
 
     @property
     def vignetted(self) -> bool:
         """Whether the lens loses any light."""
-        return self.camera.vignetting != 0.0 or self.camera.vignetting_quartic != 0.0
+        return any(self._vignetting) or self.camera.vignetting_quartic != 0.0
+
+    @property
+    def _vignetting(self) -> list[float]:
+        """Coefficient v of the three channels."""
+        return [self.camera.vignetting + more for more in self.camera.vignetting_colour]
 
     @property
     def brightest(self) -> float:
         """Largest factor of the vignetting in the picture, above 1 where the lens brightens."""
+        return max(map(self._brightest, self._vignetting))
+
+    def _brightest(self, first: float) -> float:
+        """Largest factor in a channel of which v is `first`."""
         sides = zip(self.size, self.camera.vignetting_centre, strict=True)
         farthest = (side / max(self.size) + abs(centre) for side, centre in sides)
         corner = sum(side * side for side in farthest) / _CORNER_SQUARED
-        first, second = self.camera.vignetting, self.camera.vignetting_quartic
+        second = self.camera.vignetting_quartic
         # The exponent is a parabola in r^2: extreme at centre, corner, or its vertex.
         turn = -0.5 * first / second if second else 0.0
         places = (0.0, corner, min(max(turn, 0.0), corner))

@@ -63,6 +63,8 @@ class Camera:
     """Vignetting q, see `vignetting`."""
     vignetting_centre: tuple[float, float] = (0.0, 0.0)
     """Where r is 0, image coordinates: x right, y up, the long side from -1 to 1."""
+    vignetting_colour: Vector = (0.0, 0.0, 0.0)
+    """Added to v in red, green and blue."""
 
 
 @dataclass(frozen=True)

@@ -145,15 +145,15 @@ _COLOUR = ("three numbers of at least 0", lambda *colour: min(colour) >= 0.0)
 _POSITIVE = ("a number above 0", lambda *sides: min(sides) > 0.0)
 _AT_LEAST_0 = ("a number of at least 0", lambda number: number >= 0.0)
 _EXPONENT = (
-    f"a number from -{_LARGEST_EXPONENT:g} to {_LARGEST_EXPONENT:g}",
-    lambda number: abs(number) <= _LARGEST_EXPONENT,
+    f"numbers from -{_LARGEST_EXPONENT:g} to {_LARGEST_EXPONENT:g}",
+    lambda *numbers: max(map(abs, numbers)) <= _LARGEST_EXPONENT,
 )
 # What numbers of a field must be, and whether they are.
 _LIMITS: dict[str, tuple[str, Callable[..., bool]]] = {
     "fov": ("an angle between 0 and 179 degrees", lambda number: 0.0 < number < 179.0),
     **dict.fromkeys(("up", "direction", "normal"), _SIGNED),
     **dict.fromkeys(("intensity", "irradiance", "radiance"), _COLOUR),
-    **dict.fromkeys(("vignetting", "vignetting_quartic"), _EXPONENT),
+    **dict.fromkeys(("vignetting", "vignetting_quartic", "vignetting_colour"), _EXPONENT),
     **dict.fromkeys(("size", "radius", "repeat"), _POSITIVE),
     **dict.fromkeys(("displacement", "scale"), _AT_LEAST_0),
 }
@@ -277,6 +277,7 @@ def photographed_scene(setup: FlashSetup, film: Film, *, endless: bool) -> Scene
         vignetting=setup.vignetting,
         vignetting_quartic=setup.vignetting_quartic,
         vignetting_centre=(middle[0], middle[1]),
+        vignetting_colour=setup.vignetting_colour,
     )
     surface = Surface(size=_seen(setup, film) if endless else None)
     return Scene(film, camera, surface, (PointLight(light, setup.intensity),))

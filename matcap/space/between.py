@@ -183,6 +183,7 @@ def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashS
     x, y, z = mix(first.offset, second.offset)
     tilt_x, tilt_y = mix(first.tilt, second.tilt)
     across, up = mix(first.vignetting_centre, second.vignetting_centre)
+    by_red, by_green, by_blue = mix(first.vignetting_colour, second.vignetting_colour)
     return FlashSetup(
         fov=_between(first.fov, second.fov, share),
         offset=(x, y, z),
@@ -191,6 +192,7 @@ def _blend_setups(first: FlashSetup, second: FlashSetup, share: float) -> FlashS
         vignetting=_between(first.vignetting, second.vignetting, share),
         vignetting_quartic=_between(first.vignetting_quartic, second.vignetting_quartic, share),
         vignetting_centre=(across, up),
+        vignetting_colour=(by_red, by_green, by_blue),
         turned=first.turned,
     )
 

@@ -127,7 +127,8 @@ def test_the_frozen_network_equals_the_tuned_one(material):
 
 
 def test_a_saved_material_reads_back_equal(material, tmp_path):
-    setup = replace(material.setup, vignetting_centre=(0.1, -0.2))
+    off_axis = dict(vignetting_centre=(0.1, -0.2), vignetting_colour=(-0.1, -0.1, 0.2))
+    setup = replace(material.setup, **off_axis)
     material = replace(material, setup=setup)
     material.save(tmp_path / "m.matcap")
     loaded = Material.load(tmp_path / "m.matcap")

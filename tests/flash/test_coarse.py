@@ -169,6 +169,40 @@ def test_a_cone_that_points_aside_does_not_move_the_flash():
     assert fit.setup.vignetting_centre == pytest.approx((0.0, 0.0), abs=0.05)
 
 
+def _yellower(by_blue, **material):
+    """Cloth under a flash that loses `by_blue` more of blue in the corners, around (0, 0.2)."""
+    colour = (-by_blue / 3.0, -by_blue / 3.0, 2.0 * by_blue / 3.0)
+    setup = replace(a_setup(), vignetting=0.3, vignetting_quartic=0.4, vignetting_centre=(0.0, 0.2))
+    cloth = dict(roughness=0.75, radiometric=False, noise=0.05) | material
+    return photograph(replace(setup, vignetting_colour=colour), **cloth)
+
+
+@pytest.mark.parametrize("by_blue", [0.3, 0.0])
+def test_a_flash_is_yellower_off_its_axis_and_the_material_is_not(by_blue):
+    """A white LED; around the axis of its cone, which is not the lens's."""
+    fit, plain = fit_coarse(_yellower(by_blue)), fit_coarse(_yellower(0.0))
+    red, green, blue = fit.setup.vignetting_colour
+    # The prior of the flash's own colour takes some.
+    assert 0.7 * by_blue - 0.03 < blue - green < by_blue + 0.03 and abs(red - green) < 0.03
+    hues = [np.array(each.diffuse) * each.setup.intensity for each in (fit, plain)]
+    assert hues[0] / hues[0].sum() == pytest.approx(hues[1] / hues[1].sum(), rel=0.05)
+
+
+def test_a_material_that_is_bluer_on_one_side_keeps_its_hue():
+    photo = _yellower(0.0)
+    across = np.linspace(-0.4, 0.4, photo.pixels.shape[1], dtype=np.float32)
+    pixels = photo.pixels.copy()
+    pixels[..., 2] *= np.exp(across)
+    fit = fit_coarse(replace(photo, pixels=pixels))
+    assert max(map(abs, fit.setup.vignetting_colour)) < 0.05
+
+
+def test_the_colour_of_a_flash_is_not_measured_on_saturated_colours():
+    """Development changes their hue with their brightness."""
+    fit = fit_coarse(_yellower(0.3, diffuse=(0.02, 0.05, 0.4)))
+    assert fit.setup.vignetting_colour == (0.0, 0.0, 0.0)
+
+
 def test_a_faint_highlight_does_not_make_a_surface_whiter_than_white():
     """F0 of dielectrics is 0.04: of a white surface with less, albedo would be 2."""
     white = _even((0.8, 0.75, 0.6), (0.015,) * 3, 0.3)

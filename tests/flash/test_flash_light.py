@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from matcap.flash.light import FlashLight, Uniform, render_flash, uniform_radian
 SETUP = FlashSetup(
     fov=65.0, offset=(0.08, 0.04, 0.0), tilt=(0.05, -0.03), intensity=(6.0, 5.0, 4.0),
     vignetting=0.3, vignetting_quartic=0.2, vignetting_centre=(0.1, -0.2),
+    vignetting_colour=(0.05, 0.1, -0.15),
 )  # fmt: skip
 WIDTH, HEIGHT = 24, 18
 ALL = slice(None)
@@ -78,10 +80,11 @@ def _written_out(maps: MapSet, setup: FlashSetup, row: int, column: int) -> list
     image = [setup.distance * dot(row, point) / depth for row in turn[:2]]
     off = [place - centre for place, centre in zip(image, setup.vignetting_centre, strict=True)]
     squared = dot(off, off) / 1.25**2
-    lens = math.exp(-setup.vignetting * squared - setup.vignetting_quartic * squared**2)
+    lost = [setup.vignetting + each + setup.vignetting_quartic * squared
+            for each in setup.vignetting_colour]  # fmt: skip
     return [
         (float(maps.diffuse[channel, row, column]) / math.pi + lobe)
-        * setup.intensity[channel] * n_l / distance**2 * lens
+        * setup.intensity[channel] * n_l / distance**2 * math.exp(-squared * lost[channel])
         for channel in range(3)
     ]  # fmt: skip
 
@@ -144,7 +147,7 @@ def test_a_surface_that_turns_away_is_dark_or_all_but() -> None:
 
 def test_a_coarse_fit_and_a_uniform_material_look_as_their_flat_maps_do() -> None:
     """Three ways to the same picture: maps, the uniform material, the fit in the camera's frame."""
-    grey = SETUP.with_intensity((6.0,) * 3)
+    grey = replace(SETUP.with_intensity((6.0,) * 3), vignetting_colour=(0.0,) * 3)
     fit = Uniform((0.3, 0.25, 0.2), 0.04, 0.37, grey)
     image = _points()[:2]
     points = unproject(image, grey)

@@ -306,7 +306,7 @@ def test_wrong_options_are_one_sentence(run, tmp_path, arguments, code, message)
 
 SETUP_OF_A_PHONE = FlashSetup(
     fov=64.0, offset=(0.1, -0.04, 0.02), intensity=(5.0, 4.0, 3.0), vignetting=0.4,
-    vignetting_centre=(0.05, -0.2),
+    vignetting_centre=(0.05, -0.2), vignetting_colour=(-0.1, -0.05, 0.15),
 )  # fmt: skip
 # What the flash renderer has, too.
 SAME = "none,+diffuse,+specular,+falloff"

@@ -265,7 +265,7 @@ def cut(
             dtype=torch.float32,
         )  # fmt: skip
         points.append(turn.image(turn.vector(place)))
-        shading.append(turn.image(vignette(place, setup)))
+        shading.append(turn.image(vignette(place, setup)[1:2]))
     order, gain = torch.arange(3), torch.ones(3)
     if augment:
         order = torch.from_numpy(rng.permutation(3))

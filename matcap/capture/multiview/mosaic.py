@@ -231,6 +231,7 @@ def own_plane(camera: PosedCamera, light: SharedLight, number: int) -> OwnPlane:
         lost,
         more,
         light.centre,
+        light.colour,
     )
 
     def coordinates(points: Doubles) -> Doubles:

@@ -208,6 +208,8 @@ class SharedLight:
     """(2,) `offset` by the first photograph's coarse fit, the mean of its prior."""
     centre: tuple[float, float] = (0.0, 0.0)
     """Point from which r is measured, image coordinates, as the coarse fit has it."""
+    colour: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Added to the coefficient of r^2 by channel, as the coarse fit has it."""
 
     @staticmethod
     def of(setup: FlashSetup, count: int, *, radiometric: bool = False) -> SharedLight:
@@ -221,6 +223,7 @@ class SharedLight:
             vignetting_deviation=RAW_FALLOFF if radiometric else SharedLight.vignetting_deviation,
             coarse_offset=offset,
             centre=setup.vignetting_centre,
+            colour=setup.vignetting_colour,
         )
 
     def onto(self, setup: FlashSetup) -> FlashSetup:
@@ -354,7 +357,8 @@ def light_at(
     place = torch.from_numpy(view.camera.place).to(points)
     turn = torch.from_numpy(view.camera.turn).to(points)
     flash = place + turn.T @ torch.cat([light.offset, light.offset.new_zeros(1)]).to(points)
-    lost = log_vignette(_in_image(view, light, points), light.vignetting[0], light.vignetting[1])
+    image, (squared, quartic) = _in_image(view, light, points), light.vignetting
+    lost = torch.stack([log_vignette(image, squared + more, quartic) for more in light.colour])
     strength = (light.intensity.log() + light.gain[number]).to(points)
     return FlashLight.between(points, place, flash, (strength[:, None, None] + lost).exp())
 

@@ -33,6 +33,7 @@ import numpy as np
 
 from matcap.brdf.cook_torrance import ALBEDO_LIMITS, F0_LIMITS
 from matcap.flash.coarse.cells import BLACK, CoarseCells, Doubles, Unknowns, cells_of, signed_albedo
+from matcap.flash.coarse.colour_falloff import colour_falloff
 from matcap.flash.coarse.problem import (
     HUBER,
     TONE,
@@ -242,7 +243,26 @@ def _fitted(
         tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
         level_deviation=None if last.conductor else last.level_deviation(best),
     )
-    return fit, last.cost(best), last.unit
+    return _with_colour_falloff(fit, last, best, photo), last.cost(best), last.unit
+
+
+def _with_colour_falloff(
+    fit: CoarseFit, problem: Problem, best: Doubles, photo: Photo
+) -> CoarseFit:
+    """A dielectric's fit with the flash's colour off its axis (colour_falloff.py)."""
+    if fit.conductor:
+        return fit
+    cells, centre = problem.cells, Unknowns.of(best).centre
+    _, share = problem.log_radiance(best, cells.image)
+    ratio = -problem.differences(best)
+    developed = not (photo.radiometric or photo.floating)
+    lost, hue = colour_falloff(ratio, cells, share.value, centre, developed=developed)
+    # The tone curve was applied to the residuals.
+    steep = math.exp(Unknowns.of(best).tone[0]) if problem.shoulder is not None else 1.0
+    red, green, blue = (np.array(fit.diffuse) * np.exp(hue / steep)).clip(None, 1.0).tolist()
+    by_red, by_green, by_blue = (lost / steep).tolist()
+    setup = replace(fit.setup, vignetting_colour=(by_red, by_green, by_blue))
+    return replace(fit, diffuse=(red, green, blue), setup=setup)
 
 
 def _best(problem: Problem, tried: Sequence[Doubles]) -> Doubles:
