@@ -360,7 +360,7 @@ def _rings(planes: Floats, distance: Floats, weight: Floats) -> Floats:
     weights = sums(weight)
     seen = weights > 0.25 * weights.max(axis=1, keepdims=True)
     number = seen.sum(1)
-    middles, whole = (np.arange(count) + 0.5) * width, number >= _SECTORS / 4
+    middles = (np.arange(count) + 0.5) * width
     rings = np.empty_like(planes)
     for plane, means in zip(planes, rings, strict=True):
         parts = sums(weight * plane) / np.maximum(weights, 1e-6)
@@ -368,8 +368,8 @@ def _rings(planes: Floats, distance: Floats, weight: Floats) -> Floats:
         scatter = (np.square(parts - mean[:, None]) * seen).sum(1)
         error = scatter / np.maximum(number * (number - 1), 1)
         kept = mean * np.clip(1.0 - error / np.maximum(np.square(mean), 1e-12), 0.0, 1.0)
-        # Few sectors of a ring are in the corners.
-        means[:] = np.interp(distance, middles[whole], kept[whole]) if whole.any() else 0.0
+        kept[number < _SECTORS / 4] = 0.0
+        means[:] = np.interp(distance, middles, kept)
     return rings
 
 

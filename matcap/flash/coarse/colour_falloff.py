@@ -23,6 +23,7 @@ _MATTE = 0.7  # least diffuse share of a cell
 _GREYEST = 0.25  # least ratio of a cell's darkest channel to its brightest
 _DARK = 0.02  # radiance (1 at clipping) below which a developed cell's hue is that of its codes
 _HUBER = 0.03  # threshold of the Huber loss of log ratios
+_MODEL = 0.03  # standard error of k by errors of lobe and tone curve
 _ROUNDS = 8  # iterations of its weights
 _SECTORS, _LEAST_SECTORS, _LEAST_CELLS = 8, 5, 60
 
@@ -34,7 +35,7 @@ def colour_falloff(
 
     With the log ratio r of photographed and fitted radiance in a channel, less its mean over the
     channels, r = f - k s by robust least squares. k is shrunk by 1 - 4 e^2 / |k|^2, to none
-    within twice its standard error e, by leaving out one sector after the other.
+    within twice its standard error e: _MODEL, and by leaving out one sector after the other.
 
     Args:
         log_ratio: (3, n) photographed over fitted radiance of the cells.
@@ -60,7 +61,7 @@ def colour_falloff(
 
     whole = lost(used)
     left_out = np.stack([lost(used & (sector != each)) for each in present])
-    spread = np.square(left_out - left_out.mean(0)).sum() * (1.0 - 1.0 / len(present))
+    spread = _MODEL**2 + np.square(left_out - left_out.mean(0)).sum() * (1.0 - 1.0 / len(present))
     kept = whole * max(0.0, 1.0 - 4.0 * spread / max(float(whole @ whole), 1e-12))
     mean = np.average(
         hue[:, used] + kept[:, None] * squared[used], axis=1, weights=cells.weight[used]

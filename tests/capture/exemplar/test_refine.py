@@ -193,17 +193,6 @@ def test_nothing_of_a_stationary_sample_follows_the_highlight_or_drifts() -> Non
     assert torch.equal(_flattened(ramp)[5], ramp[5])  # relief is left to equalise()
 
 
-def test_what_follows_rings_is_taken_off_in_the_corners_as_well() -> None:
-    """Where no more than two sectors of a ring are in the picture."""
-    rows, columns = np.indices((192, 256))
-    mirror = (110.0, 80.0)
-    distance = np.hypot(columns - mirror[0], rows - mirror[1])
-    trend = torch.zeros(6, 192, 256)
-    trend[:3] = torch.from_numpy((distance / 64.0).astype(np.float32))
-    flat = _flattened(trend, points=[mirror])[0].numpy()
-    assert abs(flat[distance > 160.0].mean() - np.median(flat)) < 0.2
-
-
 def test_rings_around_the_light_are_no_material_and_a_texture_is() -> None:
     rows, columns = np.indices((192, 256))
     mirror = (110.0, 90.0)
