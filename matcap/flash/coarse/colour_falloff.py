@@ -63,10 +63,8 @@ def colour_falloff(
     left_out = np.stack([lost(used & (sector != each)) for each in present])
     spread = _MODEL**2 + np.square(left_out - left_out.mean(0)).sum() * (1.0 - 1.0 / len(present))
     kept = whole * max(0.0, 1.0 - 4.0 * spread / max(float(whole @ whole), 1e-12))
-    mean = np.average(
-        hue[:, used] + kept[:, None] * squared[used], axis=1, weights=cells.weight[used]
-    )
-    return kept, mean
+    # The cells' mean hue is the fit's.
+    return kept, kept * np.average(squared[used], weights=cells.weight[used])
 
 
 def _slopes(squared: Doubles, hue: Doubles, weight: Doubles) -> Doubles:
