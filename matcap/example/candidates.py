@@ -404,6 +404,10 @@ def grids_of(features: FeatureMap, count: int) -> list[FeatureMap]:
 # Patches of the coarsest level, and corrections; docs/notes/field.md.
 _PATCH = 128  # side of the smallest patches, texels
 _PART = 2  # least ratio of the exemplar's shorter side to that
+# Aspects of patches: the most, and the least that is worth it. Flash-lit relief, shown along x in
+# more of a wide photograph, is up to 1.5.
+MOST_ASPECT, _LEAST_ASPECT = 4.0, 2.0
+_NARROWEST = 256.0  # texels, of patches that are fitted and longer than wide
 _OVERLAP = 3  # steps of the coarsest level by which the largest patch is smaller than the frame
 
 
@@ -419,9 +423,17 @@ class PatchSizes:
     """Variety 1: squares of a power of two, not fitted to their neighbours."""
     whole: bool
     """Variety 0: all patches are alike, the exemplar repeats."""
+    aspect: float = 1.0
+    """Width over height by which patches are longer along the grain; see grain_aspect."""
 
     @staticmethod
-    def of(frame: Frame, spacing: int, lattice: PhasedLattice | None, variety: float) -> PatchSizes:
+    def of(
+        frame: Frame,
+        spacing: int,
+        lattice: PhasedLattice | None,
+        variety: float,
+        aspect: float = 1.0,
+    ) -> PatchSizes:
         """Patch sizes of a variety.
 
         Args:
@@ -429,20 +441,63 @@ class PatchSizes:
             spacing: of that level, texels.
             lattice: of the exemplar, or None.
             variety: 0 for the whole exemplar, 1 for the smallest patches.
+            aspect: width over height of patches of the same area, as far as the frame reaches.
         """
         wide, high = frame.right - frame.left, frame.bottom - frame.top
         small = 1 << (min(_PATCH, min(wide, high) // _PART).bit_length() - 1)
-        if variety >= 1.0:
-            return PatchSizes(small, small, LEAST_PATCH, loose=True, whole=False)
-        largest = [max(small, side - _OVERLAP * spacing) for side in (wide, high)]
+        loose, largest = variety >= 1.0, [max(small, n - _OVERLAP * spacing) for n in (wide, high)]
+        sides = [
+            float(small) if loose else _across_borders(side, small, variety) for side in largest
+        ]
         width, height = (
-            max(1, round(_across_borders(side, small, variety) / spacing)) * spacing
-            for side in largest
+            max(1, round(min(side, most) / spacing)) * spacing
+            for side, most in zip(_lengthened(sides, aspect, loose=loose), largest, strict=True)
         )
+        if loose:
+            return PatchSizes(width, height, LEAST_PATCH, loose, whole=False, aspect=aspect)
         cells = _between(min(largest), LEAST_PATCH, variety)
         if lattice is not None:
             cells = lattice.fitting_cells(cells, largest[0], largest[1])
-        return PatchSizes(width, height, cells, loose=False, whole=variety <= 0.0)
+        return PatchSizes(width, height, cells, loose, whole=variety <= 0.0, aspect=aspect)
+
+
+def grain_aspect(appearance: Appearance, frame: Frame, bits: int) -> float:
+    """Width over height of patches that cut the least of what they show.
+
+    A seam cuts what changes along it. With E_x and E_y the mean squared differences of appearance
+    along x and y, patches of a given area, w wide and h high, cut E_y / w + E_x / h, which is least
+    at w / h = E_y / E_x: along the grain of wood, or down what has run down a wall. 1 if it is less
+    than _LEAST_ASPECT, and at most MOST_ASPECT, either way.
+
+    Args:
+        appearance: (H, W, DIMENSIONS) of the coarsest level.
+        frame: of its places, texels.
+        bits: log2 of its step in texels.
+    """
+    rows = slice(frame.top >> bits, (frame.bottom >> bits) + 1)
+    inside = appearance[rows, frame.left >> bits : (frame.right >> bits) + 1].astype(np.int64)
+    along_y, along_x = (
+        max(float(np.square(inside[2:] - inside[:-2]).mean()), 1.0)
+        for inside in (inside, inside.swapaxes(0, 1))
+    )
+    aspect = along_y / along_x
+    if max(aspect, 1.0 / aspect) < _LEAST_ASPECT:
+        return 1.0
+    return min(max(aspect, 1.0 / MOST_ASPECT), MOST_ASPECT)
+
+
+def _lengthened(sides: list[float], aspect: float, *, loose: bool) -> list[float]:
+    """Sides of patches of the same area, `aspect` times as long along x over y.
+
+    Fitted ones get no narrower than _NARROWEST: only neighbours avoid what each other show, so that
+    it would recur in sight of those two rows away.
+    """
+    factor = math.sqrt(aspect)
+    if not loose:
+        shorter = sides[1] if aspect > 1.0 else sides[0]
+        most = max(shorter / _NARROWEST, 1.0)
+        factor = min(max(factor, 1.0 / most), most)
+    return [sides[0] * factor, sides[1] / factor]
 
 
 def _across_borders(large: int, small: int, variety: float) -> float:

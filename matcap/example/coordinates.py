@@ -13,7 +13,7 @@ from matcap.example.candidates import Frame
 from matcap.example.index import Level, Lookup, two_phases
 from matcap.example.lattice import PhasedLattice, Phases, cells_of
 from matcap.example.library import Hashes, Integers, Positions, address, hash_places, loops
-from matcap.example.placement import PatchNumbers, Placement, drawn, reuse_cost, spread_patches
+from matcap.example.placement import PatchNumbers, Placement, drawn_all, reuse_cost, spread_patches
 from matcap.field.plane import Period, Rectangle
 
 # Correction of synthesised coordinates [lefebvre2005] with k-coherence candidates [tong2002].
@@ -226,8 +226,7 @@ def _fitting(
     sides: tuple[int, int],
 ) -> Positions:
     """For every hash, the random place of least placement cost, border mismatch and reuse."""
-    tried = [drawn(hashes, attempt, frame) for attempt in range(placement.fitted)]
-    x, y = (np.stack(each) for each in zip(*tried, strict=True))
+    x, y = drawn_all(hashes, placement.fitted, frame)
     cost = placement.at(x, y).astype(np.int64)
     for other in neighbours:
         if 0 in other.step:
@@ -370,22 +369,22 @@ def initial_places(
 def _loose(lookup: Lookup, seed: int, x: Integers, y: Integers, period: Period | None) -> Positions:
     """Places x, y of square patches that are not fitted to their neighbours."""
     depth, level, placement = len(lookup.levels) - 1, lookup.levels[-1], lookup.placement
-    side = lookup.sizes.width
+    wide, high = lookup.sizes.width, lookup.sizes.height
     # The frame is inset so that a patch around its centre stays inside.
-    within = inset(level.frame, side // 2, side // 2)
+    within = inset(level.frame, wide // 2, high // 2)
     if placement.rule == 1:
-        hashes = hash_places(seed, depth, x // side, (y // side)[:, None])
+        hashes = hash_places(seed, depth, x // wide, (y // high)[:, None])
         best_x, best_y = placement.cheapest(hashes, within)
     else:
         columns, rows = (
             PatchNumbers(np.unique(at // side), along and -(-along // side), side)
-            for at, along in zip((x, y), period or (None, None), strict=True)
+            for at, along, side in zip((x, y), period or (None, None), (wide, high), strict=True)
         )
         centres = spread_patches(placement, seed, depth, within, (columns, rows))
-        down = np.searchsorted(rows.numbers, y // side)
-        shown = np.ix_(down, np.searchsorted(columns.numbers, x // side))
+        down = np.searchsorted(rows.numbers, y // high)
+        shown = np.ix_(down, np.searchsorted(columns.numbers, x // wide))
         best_x, best_y = (at[shown] for at in centres)
-    return best_x + x % side - side // 2, best_y + (y % side - side // 2)[:, None]
+    return best_x + x % wide - wide // 2, best_y + (y % high - high // 2)[:, None]
 
 
 def _ordered(

@@ -316,7 +316,7 @@ def patch_sizes(example: Example) -> PatchSizes:
     width, height = (side >> bits for side in example.exemplar.size)
     frame = frame_of(depth, example.index.part or Frame.of(width, height))
     lattice = kept_lattice(example.index, example.variety)
-    return PatchSizes.of(frame, 1 << depth, lattice, example.variety)
+    return PatchSizes.of(frame, 1 << depth, lattice, example.variety, example.index.aspect)
 
 
 def detail_bits(exemplar: Exemplar) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from matcap.example.candidates import (
     COST_BITS,
     DIMENSIONS,
+    MOST_ASPECT,
     PLANES,
     TAPS,
     Appearance,
@@ -27,6 +28,7 @@ from matcap.example.candidates import (
     features_of,
     find_candidates,
     frame_of,
+    grain_aspect,
     grid_bits,
     grids_of,
     level_count,
@@ -45,6 +47,7 @@ from matcap.example.lattice import (
     with_least_borders,
 )
 from matcap.example.placement import RULE, Placement, trend_penalty
+from matcap.files.settings import bounded
 from matcap.files.threads import at_once
 
 # Index of an exemplar: PCA bases, k-coherence candidates and penalties, computed once at capture.
@@ -96,6 +99,8 @@ class Index:
     """Version of the placement of patches (placement.py); older files have 1."""
     part: Frame | None = None
     """The part that fields may show, in texels of its grid; None for all."""
+    aspect: float = 1.0
+    """Width over height of patches (grain_aspect); older files have 1."""
 
     def stored(self) -> tuple[dict[str, NDArray[np.uint8]], dict[str, Any]]:
         """Tensors (bytes), and a description for JSON; the inverse of read()."""
@@ -112,6 +117,8 @@ class Index:
         }
         if self.rule > 1:
             about["placement"] = self.rule
+        if self.aspect != 1.0:
+            about["aspect"] = self.aspect
         if self.part is not None:
             about["part"] = [self.part.left, self.part.top, self.part.right, self.part.bottom]
         if self.lattice is not None:
@@ -156,6 +163,7 @@ class Index:
             float(about["left_out"]),
             _rule(about.get("placement", 1)),
             part,
+            bounded(about.get("aspect", 1.0), "aspect", 1.0 / MOST_ASPECT, MOST_ASPECT),
         )
 
 
@@ -199,6 +207,7 @@ def build_index(
 
     levels, penalty = at_once(of_levels, partial(_penalty, exemplar, planes if one_light else None))
     bases, candidates = [basis for basis, _ in levels], [each for _, each in levels]
+    bits, coarsest = grid_bits(count - 1), project(grids[-1], bases[-1])
     outstanding = _outstanding(candidates, penalty < _KNOWN)
     penalty = np.maximum(penalty, _MARK * outstanding)
     places = [
@@ -214,6 +223,7 @@ def build_index(
         round(float(outstanding.mean()), 4),
         part=part,
         rule=RULE if one_light else 1,
+        aspect=1.0 if lattice else grain_aspect(coarsest, frame_of(count - 1, shown), bits),
     )
 
 
@@ -359,20 +369,17 @@ PENALTY_BITS = 11
 # Penalties in corrections of patches that are fitted, for the sake of long structure: at the full
 # cost corrections break the patches up, and show the few places without a penalty over and over.
 # Up to _DOUBTFUL a penalty costs less than a seam.
-_SEAM, _DOUBTFUL, _MARKED = 20, 60, 40
+_SEAM, _DOUBTFUL, _MARKED = {3: 20, 4: 10}, 60, 40  # by rule of placement
 _SPARED = 16  # at most 1 / 16 of the frame is left out at either end, so that opposite borders fit
 
 
-def _softened() -> NDArray[np.int32]:
-    """Penalty in corrections by the penalty of a patch."""
+def _softened(rule: int) -> NDArray[np.int32]:
+    """Penalty in corrections by the penalty of a patch, of a rule of placement."""
     steep = (np.arange(_MOST + 1) - _DOUBTFUL) * _MOST // (_MOST - _DOUBTFUL)
-    soft = np.minimum(np.arange(_MOST + 1), _SEAM)
+    soft = np.minimum(np.arange(_MOST + 1), _SEAM[rule])
     softened = np.maximum(soft, steep).astype(np.int32)
     softened[_MARK] = _MARKED
     return softened
-
-
-_SOFTENED = _softened()
 
 
 @dataclass(frozen=True)
@@ -461,9 +468,12 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
     appearances = at_once(*(partial(project, *one) for one in zip(grids, index.bases, strict=True)))
     cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
     lattice, coarsest = kept_lattice(index, variety), len(appearances) - 1
-    sizes = PatchSizes.of(frame_of(coarsest, part), 1 << coarsest, lattice, variety)
+    frame = frame_of(coarsest, part)
+    sizes = PatchSizes.of(frame, 1 << coarsest, lattice, variety, index.aspect)
     whole = index.rule > 2 and not sizes.loose
-    corrected = np.square(_SOFTENED[index.penalty]) << PENALTY_BITS if whole else cost
+    corrected = cost
+    if whole:
+        corrected = np.square(_softened(index.rule)[index.penalty]) << PENALTY_BITS
     levels = tuple(
         Level(
             spacing=1 << level,

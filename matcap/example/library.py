@@ -60,6 +60,12 @@ def draw(hashes: Hashes, index: int, count: int) -> Integers:
     return (bits * np.uint64(count) >> np.uint64(32)).astype(np.int64)
 
 
+def draws(hashes: Hashes, indices: range, count: int) -> Integers:
+    """(indices, ...) random integers, as draw() of each index."""
+    strides = np.array([index * _DRAW % _WORD for index in indices], np.uint64)
+    return draw(hashes + strides.reshape(-1, *[1] * hashes.ndim), 0, count)
+
+
 # Exact phases of plane waves on the endless plane, in integers of 2^-64 turn.
 #
 # The phase at texel (x, y) is x * step_x + y * step_y + start, a sum of Python's integers. It has

@@ -14,17 +14,20 @@ from numpy.typing import NDArray
 
 from matcap.example.candidates import COST_BITS, SLOPES, Frame
 from matcap.example.exemplar import Exemplar
-from matcap.example.library import Hashes, Integers, Positions, draw, hash_places
+from matcap.example.library import Hashes, Integers, Positions, draws, hash_places
 
 # Placement of patches; docs/notes/field.md.
 # Of new files. Without a rule it is 1: the cost of centres, and no cost of reuse. By 2, patches do
-# not avoid what those at their corners show, and corrections avoid places at the full cost.
-RULE = 3
-_DRAWS = {1: 4, 2: 16, 3: 16}  # random places of which the one of least cost is taken
-_FITTED = {1: 24, 2: 48, 3: 128}  # likewise of patches that are fitted to their neighbours
+# not avoid what those at their corners show, and corrections avoid places at the full cost; by 3 at
+# more than by 4 (index.py).
+RULE = 4
+_DRAWS = {1: 4, 2: 16, 3: 16, 4: 16}  # random places of which the one of least cost is taken
+_FITTED = {1: 24, 2: 48, 3: 128, 4: 128}  # likewise of patches that are fitted to their neighbours
 _REUSED = 1 << 24  # cost of a patch that a neighbour at no distance shows as well: four large seams
-_NEAR = {2: 512, 3: 640}  # texels from which on content may recur at no cost
-_COLOURS, _REACH = 3, 2  # patches at a distance of _REACH, in numbers, are of other colours
+_NEAR = {2: 512, 3: 640, 4: 640}  # texels from which on content may recur at no cost
+# Patches at a distance of up to this, in numbers, are of other colours: of squares, and of longer
+# patches along and across them.
+_REACH, _REACH_ALONG, _REACH_ACROSS = 2, 1, 4
 
 
 @dataclass(frozen=True)
@@ -76,15 +79,9 @@ class Placement:
 
     def cheapest(self, hashes: Hashes, frame: Frame) -> Positions:
         """For every hash, the centre of least cost among random ones within a frame."""
-        x, y = drawn(hashes, 0, frame)
-        best = self.at(x, y)
-        for attempt in range(1, self.draws):
-            x_drawn, y_drawn = drawn(hashes, attempt, frame)
-            cost = self.at(x_drawn, y_drawn)
-            better = cost < best
-            x, y = np.where(better, x_drawn, x), np.where(better, y_drawn, y)
-            best = np.where(better, cost, best)
-        return x, y
+        x, y = drawn_all(hashes, self.draws, frame)
+        best = self.at(x, y).argmin(axis=0)[None]
+        return np.take_along_axis(x, best, axis=0)[0], np.take_along_axis(y, best, axis=0)[0]
 
 
 def _means(cost: NDArray[np.integer], side: int, joined: tuple[int, int] | None) -> Integers:
@@ -102,12 +99,13 @@ def _means(cost: NDArray[np.integer], side: int, joined: tuple[int, int] | None)
     return np.asarray((sums[count:] - sums[:-count]) // count, np.int64)
 
 
-def drawn(hashes: Hashes, attempt: int, frame: Frame) -> Positions:
-    """A random place within a frame for every hash."""
-    return (
-        frame.left + draw(hashes, 2 * attempt, frame.right - frame.left + 1),
-        frame.top + draw(hashes, 2 * attempt + 1, frame.bottom - frame.top + 1),
+def drawn_all(hashes: Hashes, attempts: int, frame: Frame) -> Positions:
+    """(attempts, ...) random places within a frame for every hash."""
+    x, y = (
+        draws(hashes, range(first, 2 * attempts, 2), count)
+        for first, count in enumerate(frame.size)
     )
+    return frame.left + x, frame.top + y
 
 
 def reuse_cost(
@@ -150,9 +148,9 @@ def spread_patches(
 ) -> Positions:
     """(rows, columns) x, y at the centres of square patches, each of little cost.
 
-    Patches have nine colours by their numbers modulo 3. Each is chosen after those of the colours
-    before its own, of which it avoids what those within _REACH show: a patch depends on others
-    within eight times that, whatever else has been synthesised.
+    Squares have nine colours by their numbers modulo 3, longer patches ten. Each is chosen after
+    those of the colours before its own, of which it avoids what those within reach show: a patch
+    depends on others within eight or nine times that, whatever else has been synthesised.
 
     Args:
         placement: costs of centres.
@@ -161,18 +159,22 @@ def spread_patches(
         axes: numbers of patches along columns and rows.
     """
     across, down = axes
-    last = _COLOURS**2 - 1
-    columns, rows = across.grown(last * _REACH), down.grown(last * _REACH)
+    reaches = _reaches(across.side, down.side)
+    last = (reaches[0] + 1) * (reaches[1] + 1) - 1
+    columns, rows = across.grown(last * reaches[0]), down.grown(last * reaches[1])
     hashes = hash_places(seed, depth, columns[None, :], rows[:, None])
     x, y = np.zeros((2, *hashes.shape), np.int64)
     for colour in range(last + 1):
-        reach = (last - colour) * _REACH
+        of_row, of_column = divmod(colour, reaches[0] + 1)
+        wanted_x, wanted_y = (
+            axis.grown((last - colour) * reach) for axis, reach in zip(axes, reaches, strict=True)
+        )
         mine = (
-            _of_colour(rows, down.grown(reach), colour // _COLOURS),
-            _of_colour(columns, across.grown(reach), colour % _COLOURS),
+            _of_colour(rows, wanted_y, of_row, reaches[1] + 1),
+            _of_colour(columns, wanted_x, of_column, reaches[0] + 1),
         )
         if mine[0].size and mine[1].size:
-            _choose(placement, hashes, frame, (across, down), mine, colour, (x, y))
+            _choose(placement, hashes, frame, axes, mine, colour, (x, y))
     wanted = np.ix_(np.searchsorted(rows, down.numbers), np.searchsorted(columns, across.numbers))
     return x[wanted], y[wanted]
 
@@ -198,9 +200,16 @@ class PatchNumbers:
         return numbers + by if self.count is None else (numbers + by) % self.count
 
 
-def _of_colour(numbers: Integers, wanted: Integers, colour: int) -> Integers:
-    """Indices of the numbers that are wanted and of a colour along their axis."""
-    return np.flatnonzero(np.isin(numbers, wanted) & (numbers % _COLOURS == colour))
+def _reaches(width: int, height: int) -> tuple[int, int]:
+    """Numbers along columns and rows up to which patches of some size avoid each other."""
+    if width == height:
+        return _REACH, _REACH
+    return (_REACH_ALONG, _REACH_ACROSS) if width > height else (_REACH_ACROSS, _REACH_ALONG)
+
+
+def _of_colour(numbers: Integers, wanted: Integers, colour: int, colours: int) -> Integers:
+    """Indices of the numbers that are wanted and of one of the colours along their axis."""
+    return np.flatnonzero(np.isin(numbers, wanted) & (numbers % colours == colour))
 
 
 def _choose(
@@ -214,23 +223,23 @@ def _choose(
 ) -> None:
     """Choose the patches in rows and columns `mine`, all of one colour, into `chosen`."""
     across, down = axes
-    rows, columns = (axis.grown((_COLOURS**2 - 1) * _REACH) for axis in (down, across))
-    here, side = np.ix_(*mine), across.side
-    tried = [drawn(hashes[here], attempt, frame) for attempt in range(placement.draws)]
-    x, y = (np.stack(each) for each in zip(*tried, strict=True))
+    reaches, sides = _reaches(across.side, down.side), (across.side, down.side)
+    colours = reaches[0] + 1, reaches[1] + 1
+    last, here = colours[0] * colours[1] - 1, np.ix_(*mine)
+    columns, rows = (axis.grown(last * by) for axis, by in zip(axes, reaches, strict=True))
+    x, y = drawn_all(hashes[here], placement.draws, frame)
     cost = placement.at(x, y).astype(np.int64)
-    steps = range(-_REACH, _REACH + 1)
-    for dy in steps:
+    for dy in range(-reaches[1], reaches[1] + 1):
         others_y = down.shifted(rows[mine[0]], dy)
-        for dx in steps:
+        for dx in range(-reaches[0], reaches[0] + 1):
             others_x = across.shifted(columns[mine[1]], dx)
-            earlier = others_y[:, None] % _COLOURS * _COLOURS + others_x % _COLOURS < colour
+            earlier = others_y[:, None] % colours[1] * colours[0] + others_x % colours[0] < colour
             if not earlier.any():
                 continue
             at = np.ix_(np.searchsorted(rows, others_y), np.searchsorted(columns, others_x))
             shift = x - chosen[0][at], y - chosen[1][at]
-            in_field = -dx * side, -dy * side
-            cost += earlier * reuse_cost(shift, in_field, (side, side), placement.near)
+            in_field = -dx * sides[0], -dy * sides[1]
+            cost += earlier * reuse_cost(shift, in_field, sides, placement.near)
     best = cost.argmin(axis=0)[None]
     for into, each in zip(chosen, (x, y), strict=True):
         into[here] = np.take_along_axis(each, best, axis=0)[0]

@@ -170,7 +170,8 @@ def _blocks(
 
 def _varied(lookup: Lookup, variety: float) -> Lookup:
     coarsest = lookup.levels[-1]
-    sizes = PatchSizes.of(coarsest.frame, coarsest.spacing, lookup.lattice, variety)
+    aspect = lookup.sizes.aspect
+    sizes = PatchSizes.of(coarsest.frame, coarsest.spacing, lookup.lattice, variety, aspect)
     return lookup.sized(sizes)
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 
 from matcap.example.example import Example
@@ -37,6 +38,14 @@ def bricks(width=240, height=200, periods=PERIODS, bend=0.1):
     raised = np.clip(joint / 2.0, 0.0, 1.0)
     grain = np.random.default_rng(2).standard_normal(x.shape) * 0.05
     return exemplar(np.stack([colour * raised + grain, raised, raised, raised]))
+
+
+def grained(width=768, height=576, seed=5):
+    """Albedo in streaks along x, some thirty times as long as wide."""
+    noise = np.random.default_rng(seed).standard_normal((height, width)).astype(np.float32)
+    streaks = cv2.GaussianBlur(noise, (0, 0), sigmaX=120.0, sigmaY=4.0)
+    streaks /= streaks.std()
+    return exemplar(np.stack([streaks, streaks, streaks, 0.0 * streaks]))
 
 
 def exemplar(planes):

@@ -8,7 +8,7 @@ import numpy as np
 import plain_loops as plain
 import pytest
 import torch
-from exemplars import an_example, blobs, exemplar, large_blobs, ordered, reread, varied
+from exemplars import an_example, blobs, exemplar, grained, large_blobs, ordered, reread, varied
 from materials import a_material
 
 from matcap.brdf.folder import read_mapset
@@ -467,6 +467,48 @@ def test_only_long_structures_get_large_patches():
     first, *_, last = tries
     assert long > 0.1 and last.lost < 0.8 * first.lost
     assert with_chosen_variety(boards()).variety < 1.0
+
+
+def kept_along_x(albedo):
+    """Correlation of log albedo with itself 96 texels on."""
+    log = np.log(albedo)
+    log -= log.mean()
+    return (log[:, 96:] * log[:, :-96]).mean() / np.square(log).mean()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_patches_are_longer_along_the_grain_so_that_streaks_are(turned):
+    piece = grained()
+    made = Example.of(piece.turned() if turned else piece)
+    assert made.index.aspect == (0.25 if turned else 4.0)
+    square = replace(made, index=replace(made.index, aspect=1.0))
+    kept = []
+    for one in (made, square):
+        albedos = (one.maps(seed, Rectangle(0, 0, 768, 768), None)[0] for seed in range(3))
+        kept.append(np.mean([kept_along_x(each.T if turned else each) for each in albedos]))
+    assert kept[0] > 1.4 * kept[1]
+
+
+def test_an_aspect_is_stored_and_a_file_without_one_keeps_square_patches():
+    tensors, about = Example.of(grained()).stored()
+    again = Example.read(about, tensors.__getitem__)
+    assert again.index.aspect == 4.0 and again.lookup.sizes.width == 4 * again.lookup.sizes.height
+    with pytest.raises(ValueError, match="aspect"):
+        Example.read(about | {"index": about["index"] | {"aspect": 9.0}}, tensors.__getitem__)
+    del about["index"]["aspect"]
+    sizes = Example.read(about, tensors.__getitem__).lookup.sizes
+    assert sizes.aspect == 1.0 and sizes.width == sizes.height
+    assert "aspect" not in an_example().stored()[1]["index"]
+
+
+def test_fitted_patches_get_no_narrower_than_what_recurs_in_sight():
+    frame = frame_of(4, Frame.of(1024, 768))
+    for variety in (0.5, 0.25):
+        for aspect in (4.0, 0.25):
+            square, long = (PatchSizes.of(frame, 16, None, variety, one) for one in (1.0, aspect))
+            shorter, longer = sorted((long.width, long.height))
+            assert 256 <= shorter < min(square.width, square.height) and longer > shorter
+            assert (long.width > square.width) == (aspect > 1.0)
 
 
 def test_the_summary_states_the_patch_size():

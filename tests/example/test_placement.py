@@ -13,6 +13,7 @@ from matcap.example.candidates import Frame, planes_of
 from matcap.example.example import Example
 from matcap.example.index import PENALTY_BITS, prepare
 from matcap.example.placement import (
+    RULE,
     PatchNumbers,
     Placement,
     evenly_sharp,
@@ -170,36 +171,44 @@ def test_no_known_place_gives_no_penalty():
     assert not trend_penalty(planes_of(piece), np.zeros(squares(piece), bool)).any()
 
 
-def shared(x, y, side):
+def shared(x, y, sides):
     """Sum over neighbouring patches of the share of what both show."""
     total = 0.0
     for dy, dx in ((0, 1), (1, 0), (1, 1)):
         in_field = [at[dy:, dx:] - at[: len(at) - dy, : at.shape[1] - dx] for at in (x, y)]
-        total += np.prod([np.maximum(side - np.abs(a), 0) / side for a in in_field], axis=0).sum()
+        both = [
+            np.maximum(side - np.abs(a), 0) / side for a, side in zip(in_field, sides, strict=True)
+        ]
+        total += np.prod(both, axis=0).sum()
     return total
 
 
-def test_patches_near_each_other_show_different_places():
-    frame, side = Frame(64, 64, 900, 700), 128
+@pytest.mark.parametrize("sides", [(128, 128), (256, 64), (64, 256)])
+def test_patches_near_each_other_show_different_places(sides):
+    frame = Frame(128, 128, 900, 700)
     cost = np.zeros((200, 250), np.int32)
-    numbers = PatchNumbers(np.arange(12), None, side)
-    x, y = spread_patches(Placement(cost, 3), 5, 4, frame, (numbers, numbers))
+    numbers = tuple(PatchNumbers(np.arange(1536 // side), None, side) for side in sides)
+    x, y = spread_patches(Placement(cost, 3), 5, 4, frame, numbers)
     random = np.random.default_rng(1)
     other = (
         random.integers(frame.left, frame.right + 1, x.shape),
         random.integers(frame.top, frame.bottom + 1, x.shape),
     )
-    assert shared(x, y, side) < 0.3 * shared(*other, side)
+    assert shared(x, y, sides) < 0.3 * shared(*other, sides)
 
 
 @pytest.mark.parametrize("count", [None, 5, 7, 12])
-def test_a_patch_is_the_same_whatever_else_is_laid(count):
-    frame, side = Frame(64, 64, 900, 700), 128
+@pytest.mark.parametrize("sides", [(128, 128), (256, 64), (64, 256)])
+def test_a_patch_is_the_same_whatever_else_is_laid(sides, count):
+    frame = Frame(64, 64, 900, 700)
     cost = np.random.default_rng(2).integers(0, 1 << 20, (200, 250)).astype(np.int32)
     placement = Placement(cost, 3)
 
     def laid(columns, rows):
-        axes = [PatchNumbers(np.array(n), count, side) for n in (columns, rows)]
+        axes = [
+            PatchNumbers(np.array(n), count, side)
+            for n, side in zip((columns, rows), sides, strict=True)
+        ]
         return spread_patches(placement, 5, 4, frame, tuple(axes))
 
     many = laid(range(5), range(5))
@@ -236,7 +245,9 @@ def test_marks_and_trends_cost_corrections_less_than_placement():
     lookup = prepare(made.exemplar, index, 0.5)
     assert (lookup.cost >> PENALTY_BITS)[0, :6].tolist() == [p * p for p in penalty[0, :6].tolist()]
     corrected = [lookup.levels[-1].placement_cost[0, k] >> PENALTY_BITS for k in range(6)]
-    assert corrected == [0, 14**2, 20**2, 209**2, 40**2, 255**2]
+    assert corrected == [0, 10**2, 10**2, 209**2, 40**2, 255**2]
+    by_3 = prepare(made.exemplar, replace(index, rule=3), 0.5).levels[-1].placement_cost
+    assert [by_3[0, k] >> PENALTY_BITS for k in range(3)] == [0, 14**2, 20**2]
     earlier = lookup.of_rule_2(), prepare(made.exemplar, replace(index, rule=2), 0.5)
     assert [one.rule for one in earlier] == [2, 2]
     for one in (*earlier, prepare(made.exemplar, index)):  # small patches have nothing to keep
@@ -249,7 +260,7 @@ def test_corrections_do_not_collapse_onto_the_places_of_least_penalty():
     made = Example.of(even())
     penalty = np.where(np.indices(made.index.penalty.shape)[1] < 32, 0, 60).astype(np.uint8)
     shown = []
-    for rule in (2, 3):
+    for rule in (2, RULE):
         index = replace(made.index, penalty=penalty, rule=rule)
         example = replace(made, index=index, variety=0.25)
         places = example.places(1, Rectangle(0, 0, *SIDES), None) // 8
@@ -260,11 +271,11 @@ def test_corrections_do_not_collapse_onto_the_places_of_least_penalty():
 def test_a_file_without_a_placement_rule_has_rule_1():
     example = an_example()
     tensors, about = example.stored()
-    assert about["index"]["placement"] == example.index.rule == 3
+    assert about["index"]["placement"] == example.index.rule == RULE
     about = json.loads(json.dumps(about))
     del about["index"]["placement"]
     old = Example.read(about, tensors.__getitem__)
     assert old.lookup.rule == old.index.rule == 1 and "placement" not in old.stored()[1]["index"]
-    about["index"]["placement"] = 4
-    with pytest.raises(ValueError, match="rule 4"):
+    about["index"]["placement"] = RULE + 1
+    with pytest.raises(ValueError, match=f"rule {RULE + 1}"):
         Example.read(about, tensors.__getitem__)
