@@ -487,17 +487,14 @@ def grain_aspect(appearance: Appearance, frame: Frame, bits: int) -> float:
 
 
 def _lengthened(sides: list[float], aspect: float, *, loose: bool) -> list[float]:
-    """Sides of patches of the same area, `aspect` times as long along x over y.
+    """Sides of patches that are `aspect` times as long along x over y, of the same area.
 
-    Fitted ones get no narrower than _NARROWEST: only neighbours avoid what each other show, so that
-    it would recur in sight of those two rows away.
+    Fitted ones get no narrower than _NARROWEST, and larger: only neighbours avoid what each other
+    show, so that content would recur in sight of those two rows away.
     """
-    factor = math.sqrt(aspect)
-    if not loose:
-        shorter = sides[1] if aspect > 1.0 else sides[0]
-        most = max(shorter / _NARROWEST, 1.0)
-        factor = min(max(factor, 1.0 / most), most)
-    return [sides[0] * factor, sides[1] / factor]
+    factors = math.sqrt(aspect), 1.0 / math.sqrt(aspect)
+    least = [0.0 if loose else min(side, _NARROWEST) for side in sides]
+    return [max(side * by, most) for side, by, most in zip(sides, factors, least, strict=True)]
 
 
 def _across_borders(large: int, small: int, variety: float) -> float:
