@@ -25,11 +25,12 @@ from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview.set_report import draw_predicted, draw_set
 from matcap.capture.result import CaptureResult
+from matcap.capture.verdict.measurements import LIT, SIDES, lit_from
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
 from matcap.files.pixels import png_bytes
 from matcap.flash.geometry import FlashSetup, points_of
-from matcap.flash.light import render_flash, render_rectified, shade
+from matcap.flash.light import render_flash, render_rectified
 from matcap.flash.rectify import picture_of
 from matcap.photo.checks import Rating, Region
 from matcap.photo.photo import standing
@@ -39,7 +40,6 @@ Picture = NDArray[np.float32]
 _COLUMNS = 4  # panels side by side
 _CROP, _GAP, _LABEL = 256, 12, 26  # pixels
 _PANEL = (2 * _COLUMNS * _CROP + (2 * _COLUMNS - 1) * _GAP - (_COLUMNS - 1) * _GAP) // _COLUMNS
-_LIT = 1024  # texels along the width that are rendered for a panel under another light, at least
 _TITLE = 46  # pixels
 # sRGB code values.
 _INK, _TITLE_INK, _PAPER = (225, 225, 225), (255, 255, 255), (24, 24, 24)
@@ -50,8 +50,6 @@ _RATED = {
     Rating.DOUBTFUL: (240, 180, 41),
     Rating.FAILED: (255, 110, 100),
 }
-# Position of the light, plane units: to the left of the sample, and above; grazing, to show relief.
-_LIGHTS = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 # Narrowest displayed range of a map: a flat map would show its rounding noise.
 _CONSTANT = 0.05  # share of that range below which a map is constant, and shown as a number
 _LEAST_SPAN = {"specular": 0.02, "roughness": 0.05, "height": 0.002}
@@ -270,7 +268,7 @@ def lit_panels(maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Iterable
 
     Normals are the height's gradient: the light from two sides shows them.
     """
-    for side in _LIGHTS:
+    for side in SIDES:
         yield relit(side, maps, rerendered, setup)
     yield from each_map(maps)
 
@@ -330,26 +328,15 @@ def each_map(maps: MapSet) -> Iterable[Panel]:
 
 
 def relit(side: str, maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Panel:
-    """Render maps from the photograph's camera under a light of _LIGHTS: some texels, and the crop.
+    """Render maps from the photograph's camera under a light of SIDES: some texels, and the crop.
 
     Scaled to the mean radiance of the re-rendering, as this light has no exposure of its own.
     """
     width, height = maps.size
-    points = points_of((height, width))
-    if setup.turned:
-        points *= width / height  # the long side is two plane units, here upwards
-    camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(_LIGHTS[side])
-    surface, every = replace(maps, painted=maps.normal), slice(None, None, max(1, width // _LIT))
-
-    @torch.no_grad()
-    def lit(rows: slice, columns: slice) -> Picture:
-        some = surface.map(lambda planes: planes[..., rows, columns])
-        radiance = shade(some, points[:, rows, columns], camera, light, torch.ones(3))
-        return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
-
-    whole = lit(every, every)
+    every = slice(None, None, max(1, width // LIT))
+    whole = lit_from(side, maps, setup, every, every)
     gain = np.float32(rerendered.mean() / max(float(whole.mean()), 1e-9))
-    close = gain * lit(*_crop(width, height))
+    close = gain * lit_from(side, maps, setup, *_crop(width, height))
     return Panel(f"light from the {side}", gain * whole, close=close)
 
 
@@ -359,7 +346,7 @@ def _under_flash(maps: MapSet, setup: FlashSetup) -> tuple[Picture, Picture]:
     landscape = maps.turned(1) if turned else maps
     width, height = landscape.size
     points = points_of((height, width))
-    every = slice(None, None, max(1, width // _LIT))
+    every = slice(None, None, max(1, width // LIT))
 
     @torch.no_grad()
     def lit(rows: slice, columns: slice) -> Picture:
@@ -381,7 +368,7 @@ def _picture(maps: MapSet, kind: str) -> Picture:
 
 def _stretched(kind: str, values: Picture) -> Panel:
     """Panel of a scalar map, its 0.2 and 99.8 % quantiles as black and white and in the label."""
-    some = slice(None, None, max(1, values.shape[1] // _LIT))
+    some = slice(None, None, max(1, values.shape[1] // LIT))
     low, high = (float(v) for v in np.quantile(values[some, some], (0.002, 0.998)))
     label = f"{kind}: {low:.3g} to {high:.3g}"
     if high - low < _CONSTANT * _LEAST_SPAN[kind]:

@@ -14,16 +14,24 @@ from numpy.typing import NDArray
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.estimate import ExemplarEstimate
+from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.inspection import checked
 from matcap.capture.multiview.set_report import SetReport
 from matcap.capture.rectified import Rectified, tilt_document
 from matcap.capture.settings import CaptureClock, CaptureSettings, Effort, RunStatus, resolve
 from matcap.capture.verdict.causes import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
-from matcap.capture.verdict.measurements import Measurements, measure_capture
+from matcap.capture.verdict.measurements import (
+    Measurements,
+    lit_contrast,
+    lit_from_sides,
+    measure_capture,
+    patchiness,
+)
 from matcap.field.material import Material
 from matcap.field.source import Generator
 from matcap.files.threads import at_once, one_thread
+from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
 from matcap.photo.photo import Photo, quarter_turn, standing
@@ -189,6 +197,11 @@ def judge_material(
         )
         others = material.provenance.get("others", ())
         measurements = replace(measurements, photographs=1 + len(others))
+        itself = None
+        if estimate is not None and tuning is None:
+            itself = map_set_of(estimate.first_rectangle)
+        observed = photo, compared, valid
+        measurements = _under_other_lights(measurements, observed, maps, itself, material.setup)
         verdict = judge(measurements)
     return CaptureResult(
         photo=photo,
@@ -204,6 +217,37 @@ def judge_material(
         estimate=estimate,
         tuning=tuning,
     )
+
+
+def _under_other_lights(
+    measured: Measurements,
+    observed: tuple[Photo, NDArray[np.float32], NDArray[np.bool_]],
+    maps: MapSet,
+    itself: MapSet | None,
+    setup: FlashSetup,
+) -> Measurements:
+    """Measurements with those under lights from the sides, and of the exemplar itself.
+
+    Args:
+        measured: of a field.
+        observed: the photograph, its pixels on the plane's grid, and which are valid.
+        maps: the field's.
+        itself: the exemplar's maps, which tell what of a fault is of its rearrangement; or None.
+    """
+    photo, pixels, valid = observed
+    lit = lit_from_sides(maps, setup)
+    measured = replace(measured, relief=lit_contrast(pixels, valid, lit))
+    if itself is None or itself.size != maps.size:  # of several photographs it may be smaller
+        return measured
+    itself = replace(itself, painted=itself.normal)
+    with torch.inference_mode():
+        rerendered = picture_of(render_rectified(itself, setup))
+    own = np.ascontiguousarray(quarter_turn(rerendered)) if setup.turned else rerendered
+    pictures = np.minimum(pixels, photo.headroom), np.minimum(own, photo.headroom)
+    pairs = zip(lit, lit_from_sides(itself, setup), strict=True)
+    ratios = [patchiness(field) / max(patchiness(one), 1e-6) for field, one in pairs]
+    patches = float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6)))))
+    return replace(measured, patches=patches, itself=measured.of_texture(photo, pictures, valid))
 
 
 def provenance(

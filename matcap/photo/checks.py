@@ -304,7 +304,7 @@ _TABLE = (
     QualityCheck(
         "highlight_contrast", "radiance at the mirror point over a matte surface's, or contrast of "
         "glints there, re-rendered over photographed", "times", (1.3, 2.0, 3.0),
-        "the {what} {value:.2g} times as strong as in the photograph{bound}", "",
+        "{what} {value:.2g} times as strong as in the photograph{bound}", "",
         f"give --fov if you know it, or {_RETAKE}", "highlight too weak or too strong", factor=True,
         unknown="neither the photograph nor its re-rendering has a highlight",
     ),
@@ -325,9 +325,9 @@ _TABLE = (
     ),
     QualityCheck(
         "texture", "distance of texture statistics", "times that between parts of the photograph",
-        (1.1, 1.5, 2.3),
-        "the texture differs from the photograph {value:.1f} times as much as two parts of the "
-        "photograph differ from each other", seen="another texture",
+        (1.2, 2.0, 3.0),
+        "the texture differs from the photograph's {value:.1f} times as much as that does from "
+        "place to place", seen="another texture",
         unknown="the picture is too small to compare textures",
     ),
     QualityCheck(
@@ -336,16 +336,30 @@ _TABLE = (
         seen="texture too soft or too coarse", factor=True,
     ),
     QualityCheck(
-        "pits", "depth of the darkest spots in the light, re-rendered over photographed", "times",
-        (1.5, 2.0, 3.0),
-        "the darkest spots in the light are {value:.1f} times as deep as in the photograph",
-        seen="black pits", factor=True,
+        "spots", "depth of the brightest spots over that of the darkest, re-rendered over "
+        "photographed, in the light or beside it", "times", (1.35, 1.6, 2.5),
+        "{what} are {more} times as strong as in the photograph, beside {other}",
+        seen="specks or pits", factor=True,
+    ),
+    QualityCheck(
+        "relief", "contrast of texture lit from the left and the top over the photograph's",
+        "times", (1.25, 1.45, 2.5),
+        "texture lit from a side is {more_or_less} than in the photograph",
+        seen="too rough or too flat by side light", factor=True,
+    ),
+    QualityCheck(
+        "patches", "how much more the texture's direction differs from place to place than in the "
+        "photographed rectangle, lit from the left and the top", "share", (0.15, 0.3, 0.7),
+        "patches whose texture runs in other directions show when it is lit from a side",
+        "patches of the photographed rectangle were put together that do not fit",
+        "synth with --tile piece, which repeats that rectangle", "a quilt of patches",
+        unknown="the field is not made of patches",
     ),
     QualityCheck(
         "pattern", "loss of autocorrelation at one period", "share", (0.3, 0.5, 0.75),
         "the pattern is {kept:.0f} % as regular as in the photograph",
         "cells or lines are broken, which small patches cut and decoders cannot draw",
-        "capture with --generator example, or synthesise with a lower --variety", "pattern broken",
+        "capture with --generator example, or synth with a lower --variety", "pattern broken",
         unknown="the photograph shows no lattice",
     ),
     QualityCheck(
@@ -357,23 +371,8 @@ _TABLE = (
         "used",
         "photograph an even part of the sample, filling the picture", "a mark that repeats",
     ),
-    QualityCheck(
-        "highlight_residue", "radial variation of a map about the mirror point",
-        "times the visible threshold",
-        (1.0, 2.0, 4.0), "the flash's highlight has left a spot in the maps: {amount}",
-        "part of the highlight was taken for colour or gloss of the material",
-        seen="blotch where the flash was",
-    ),
 )  # fmt: skip
 CHECKS: Mapping[str, QualityCheck] = {check.key: check for check in _TABLE}
-
-RESIDUES: Mapping[str, tuple[float, str]] = {
-    "albedo": (0.05, "diffuse differs there by a factor of {:.2f}"),
-    "specular": (0.15, "specular differs there by a factor of {:.2f}"),
-    "roughness": (0.025, "roughness differs there by {:.2f}"),
-    "grain": (0.3, "the relief's slopes differ there by a factor of {:.2f}"),
-}
-"""By map: the smallest visible highlight residue, and its phrase in the verdict."""
 
 UNIFORM = 0.1
 """Largest log ratio of the brightest side's light to that around the centre that is uniform light;
@@ -411,9 +410,9 @@ _CAUSES = (
         "large features", "patch size of the field: small patches at 1, the whole exemplar at 0",
         1.0, 0.2,
         "the pattern's features are almost as large as the photograph, too large to rearrange",
-        "photograph more of the sample from farther away, or make that rectangle repeat (synth "
-        "--tile piece)",
-        frozenset({"texture", "contrast", "pattern", "light"}),
+        "photograph more of the sample from farther away, or synth with --tile piece, which "
+        "repeats that rectangle",
+        frozenset({"texture", "pattern"}),
     ),
 )  # fmt: skip
 CAUSES: Mapping[str, Cause] = {cause.name: cause for cause in _CAUSES}

@@ -104,7 +104,7 @@ def test_panels_are_area_averages(monkeypatch):
     maps = MapSet(one.expand(3, -1, -1) * 0.3, 0.04 * one, 0.5 * one, 0.01 * bumps[0], 2 / 640)
     panels = []
     for texels in (160, 640):
-        monkeypatch.setattr(preview, "_LIT", texels)
+        monkeypatch.setattr(preview, "LIT", texels)
         panels.append(preview.relit("left", maps, np.ones((2, 2, 3), np.float32), FlashSetup()))
     some, every = panels
     assert some.values.shape == (80, 160, 3) and every.values.shape == (320, 640, 3)

@@ -10,7 +10,7 @@ from typing import Any
 from matcap.capture.verdict.causes import UNSEEN, ExemplarMeasurements, causes
 from matcap.capture.verdict.measurements import Measurements
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
-from matcap.photo.checks import CHECKS, RESIDUES, Cause, Finding, Rating
+from matcap.photo.checks import CHECKS, Cause, Finding, Rating
 from matcap.photo.inspect import whereabouts
 
 NORM = 6.0
@@ -19,9 +19,11 @@ NORM = 6.0
 PHOTOGRAPHED = ("subject", "flash", "clipped", "tilt", "stationarity", "flash_offset")
 """Keys of the photograph's own checks that are part of the verdict."""
 
-_UNDETERMINED = "one photograph leaves open what of it is colour, gloss and relief"
-_AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width", "highlight_residue"})
-_IN_TEXTURE = frozenset({"texture", "contrast", "pits", "pattern"})
+_UNDETERMINED = "light from the lens does not tell colour, gloss and relief apart"
+_DIRECTED = "light from one place shows little of the relief across its direction"
+_FEW = "these photographs do not tell colour, gloss and relief apart"
+_AT_HIGHLIGHT = frozenset({"highlight_contrast", "highlight_width"})
+_IN_TEXTURE = frozenset({"texture", "contrast", "spots", "pattern"})
 # What a fault of the photograph explains, by its check; the first is the likeliest.
 _BY_PHOTOGRAPH = {
     "clipped": _AT_HIGHLIGHT | {"colour"},
@@ -30,11 +32,15 @@ _BY_PHOTOGRAPH = {
     "tilt": frozenset({"light"}),
 }
 _PREDICTED = 0.5  # share of relief that is predicted rather than measured, from which it matters
+_GLINTS = "the glints"  # which no light that is smooth over the picture explains
 _MISFIT = 0.12  # log radiance by which maps of the photographed rectangle do not explain it
+_ITS_OWN = 0.75  # share of a severity that the exemplar itself has, from which it is the cause
 # Which highlights and lattices are compared; docs/notes/verdict.md.
 _WIDEST = 0.34  # largest half width of a visible highlight, plane units (below that of the falloff)
 _FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
 _LEAST_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
+_MOST_LISTED = 3  # small differences in a sentence
+_SHADED = 1.15  # times as strong as true relief may be when it is lit from a side
 _SLIGHT = 0.6  # severity up to which a finding is not explained: any number of them is good
 
 
@@ -82,13 +88,14 @@ class CaptureVerdict:
         worst, place = self.worst, ""
         if worst.severity <= 1.0:
             small = [one for one in self.findings[1:] if _differs(one)]
-            listed = "; ".join(one.says for one in sorted(small, key=lambda one: -one.severity))
+            small = sorted(small, key=lambda one: -one.severity)[:_MOST_LISTED]
+            listed = "; ".join(one.says for one in small)
             seen = f"{self.rating.value}: several small differences, none of them a fault"
             return f"{seen}: {listed}{note}."
         if worst.where is not None and worst.name in _IN_TEXTURE:
             left, top, width, height = worst.where
-            place = f", most of all {whereabouts(left + width / 2.0, top + height / 2.0)}"
-        seen = f"{self.rating.value}: {worst.appearance}: {worst.says}{place}{note}"
+            place = f", most {whereabouts(left + width / 2.0, top + height / 2.0)}"
+        seen = f"{self.rating.value}: {worst.says}{place}{note}"
         return f"{seen}. Why: {worst.cause}. What helps: {worst.remedy}."
 
     def document(self) -> dict[str, Any]:
@@ -141,11 +148,12 @@ def _explained(finding: Finding, shown: tuple[Cause, ...], seen: Measurements) -
         return finding
     if finding.name != "photograph" or finding.rating is not Rating.FAILED:
         for cause in shown:
-            if finding.name in cause.explains:
+            if finding.name in cause.explains and not finding.says.startswith(_GLINTS):
                 return replace(finding, cause=cause.says, remedy=cause.remedy)
     if finding.cause and finding.remedy:
         return finding
-    why, remedy = next(_reasons(finding, seen), (_UNDETERMINED, finding.remedy))
+    unknown = _UNDETERMINED if seen.photographs < 2 else _FEW
+    why, remedy = next(_reasons(finding, seen), (unknown, finding.remedy))
     more = more_photographs(seen.photographs, repeats=seen.order is not None)
     return replace(finding, cause=finding.cause or why, remedy=remedy or more)
 
@@ -160,28 +168,39 @@ def _reasons(finding: Finding, seen: Measurements) -> Iterator[tuple[str, str]]:
         blameless = key == "sharpness" and band in ("coarse", "coloured")
         if fault is not None and name in explains and not _fine(fault) and not blameless:
             yield fault.says, fault.remedy
-    exemplar = seen.exemplar
-    confidence = exemplar.confidence or {}
-    relief = [confidence[name] for name in ("height", "normal") if name in confidence]
-    if name in _IN_TEXTURE | {"highlight_residue"}:
-        # Gloss shows relief: what is weaker there is relief that is not known.
-        lost = bool(band) and finding.value < 1.0 and "in the light" in finding.says
-        unknown = any(each < 1.0 - _PREDICTED for each in relief)
-        misfit = exemplar.error > _MISFIT
-        if band != "coloured" and (lost or unknown or misfit):  # relief has no colour
-            yield "light from one place shows little of the relief across its direction", ""
-        elif confidence and not misfit:
+    if name in _IN_TEXTURE and (rearranged := _rearranged(finding, seen, band)) is not None:
+        if rearranged:
             yield (
-                "maps of the photographed rectangle fit it, rearranged ones less",
-                "synthesise with a lower --variety, or make that rectangle repeat (synth --tile "
-                "piece)",
+                "patches were put together wrongly; the photographed rectangle, lower on the "
+                "sheet, is right",
+                "synth with a lower --variety, or with --tile piece, which repeats that rectangle",
             )
+        elif band != "coloured" and name != "spots":  # relief has no colour
+            yield _DIRECTED if seen.photographs < 2 else _FEW, ""
     developed = photograph.get("radiometric")
-    if developed is not None and developed.rating is not Rating.GOOD:
+    by_light = name in _AT_HIGHLIGHT | {"light", "colour"}
+    if by_light and developed is not None and developed.rating is not Rating.GOOD:
         yield (
             "a developed picture does not keep highlights and colours in proportion to light",
             "photograph RAW (DNG), or take one more a few stops darker and capture both",
         )
+
+
+def _rearranged(finding: Finding, seen: Measurements, band: str) -> bool | None:
+    """Whether a fault of the texture is of its rearrangement, not of the maps; None if unknown."""
+    if seen.itself is not None:
+        own = next((one for one in findings(seen.itself) if one.name == finding.name), finding)
+        if own.rating is not Rating.NOT_JUDGED:
+            return own.severity < min(_ITS_OWN * finding.severity, 1.0)
+    exemplar = seen.exemplar
+    confidence = exemplar.confidence or {}
+    relief = [confidence[name] for name in ("height", "normal") if name in confidence]
+    # Gloss shows relief: what is weaker there is relief that is not known.
+    lost = bool(band) and finding.value < 1.0 and "in the light" in finding.says
+    unknown = any(each < 1.0 - _PREDICTED for each in relief)
+    if band != "coloured" and (lost or unknown) or exemplar.error > _MISFIT:
+        return False
+    return True if confidence else None
 
 
 def _differs(finding: Finding) -> bool:
@@ -198,7 +217,10 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     """All findings, in the order of the report."""
     rated = (one for one in seen.photograph.findings if one.name in PHOTOGRAPHED)
     own = max(rated, key=lambda one: one.severity)
-    yield replace(own, name="photograph", value=own.name, rating=Rating.of(own.severity))
+    # What a usable photograph's faults do to the capture is measured below.
+    severity = own.severity / 2.0 if own.rating.fit else own.severity
+    rating = Rating.of(severity)
+    yield replace(own, name="photograph", value=own.name, rating=rating, severity=severity)
     yield _highlight(seen)
     before, after = seen.highlights
     if before and after and (visible(before) or visible(after)):
@@ -207,9 +229,11 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield CHECKS["colour"].finding(max(map(abs, seen.colour)))
     yield CHECKS["texture"].finding(seen.texture)
     yield _contrast(seen)
-    # Shallower spots are of a weaker texture.
-    yield CHECKS["pits"].finding(max(1.0, seen.pits))
+    yield _spots(seen.spots)
     yield _pattern(seen)
+    relief = max(seen.relief / _SHADED, 1.0) if seen.relief > 1.0 else seen.relief
+    yield CHECKS["relief"].finding(relief, more_or_less=_factor(seen.relief))
+    yield CHECKS["patches"].finding(seen.patches - min(seen.patches, 1.0))
     yield from _exemplar(seen.exemplar)
 
 
@@ -219,11 +243,10 @@ def more_photographs(given: int, *, repeats: bool = False) -> str:
     Of a pattern that `repeats` they can be registered only by what does not.
     """
     if given < 2:
-        mark = ", with a border or a mark of the sample in each, as its pattern repeats"
+        mark = ", a mark in each (it repeats)" if repeats else ""
         return (
-            "take five photographs, one from above and one with the phone moved by a third of its "
-            "distance to each side, so that each shows two thirds of the first"
-            f"{mark if repeats else ''}, and give them with --together"
+            "capture five photographs with --together, from above and moved to each side by a "
+            f"third of the distance{mark}"
         )
     if given < 5:
         return f"add photographs from other sides to these {given}: five measure more"
@@ -241,7 +264,7 @@ def _highlight(seen: Measurements) -> Finding:
     Ring means miss a peak of a few texels, and a highlight that is not at the mirror point.
     """
     check, profile = CHECKS["highlight_contrast"], seen.profile
-    whole, parts = "highlight is", "glints in the highlight are"
+    whole, parts = "the highlight is", f"{_GLINTS} in the highlight are"
     ratios = [(_peak_ratio(*seen.highlights), whole)]
     if profile is not None:
         ratios += [(profile.ratio, whole), (profile.glint_ratio, parts)]
@@ -270,9 +293,21 @@ def _contrast(seen: Measurements) -> Finding:
     factors = {band: (after + UNSEEN) / (before + UNSEEN) for band, (before, after) in pairs}
     band = max(factors, key=lambda name: abs(math.log(factors[name])))
     factor = factors[band]
-    says = f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
-    contrast = CHECKS["contrast"].finding(factor, band=band, more_or_less=says)
+    contrast = CHECKS["contrast"].finding(factor, band=band, more_or_less=_factor(factor))
     return replace(contrast, where=seen.regions.get(band))
+
+
+def _spots(ratio: float) -> Finding:
+    """Finding on spots, by the depth of bright ones over that of dark ones."""
+    dark, bright = "dark pits", "bright specks"
+    what, other = (bright, dark) if ratio > 1.0 else (dark, bright)
+    more = f"{max(ratio, 1.0 / ratio):.1f}"
+    return CHECKS["spots"].finding(ratio, what=what, other=other, more=more)
+
+
+def _factor(factor: float) -> str:
+    """A factor as text: so many times stronger or weaker."""
+    return f"{max(factor, 1.0 / factor):.1f} times {'stronger' if factor > 1.0 else 'weaker'}"
 
 
 def _pattern(seen: Measurements) -> Finding:
@@ -285,13 +320,6 @@ def _pattern(seen: Measurements) -> Finding:
 
 
 def _exemplar(seen: ExemplarMeasurements) -> Iterator[Finding]:
-    """Findings on the exemplar and its rearrangement; none without one."""
+    """Finding on the exemplar's rearrangement; none without one."""
     if seen.repeats:
         yield CHECKS["repeat"].finding(seen.repeats)
-    if seen.residue is not None:
-        # In the map where it is most visible.
-        residue = seen.residue
-        name = max(RESIDUES, key=lambda name: residue[name] / RESIDUES[name][0])
-        visible, says = RESIDUES[name]
-        amount = says.format(residue[name] if name == "roughness" else math.exp(residue[name]))
-        yield CHECKS["highlight_residue"].finding(residue[name] / visible, amount=amount)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from matcap.brdf.maps import MapSet
 from matcap.capture.rectified import FEATURES, WINDOW, code_step
 from matcap.capture.verdict.causes import (
     UNSEEN,
@@ -24,8 +25,9 @@ from matcap.capture.verdict.causes import (
     measure_causes,
 )
 from matcap.files.threads import at_once
-from matcap.flash.geometry import FlashSetup
+from matcap.flash.geometry import FlashSetup, points_of
 from matcap.flash.highlight import Highlight, find_highlight, light_of
+from matcap.flash.light import shade
 from matcap.flash.rectify import Plane, plane_of, planes_of
 from matcap.photo.checks import Region
 from matcap.photo.inspect import (
@@ -56,9 +58,16 @@ _SPARSE = 4  # every so many texels along each axis tell of a channel's median
 _FINE = (1.0, 3.0)
 _COARSE_BAND = (4.0, 16.0)  # standard deviations of the band-pass for coarse texture, texels
 _CHROMA_BAND = (2.0, 16.0)  # those for coloured texture, log red / green and blue / green
-_SPOT_BAND = (2.0, 8.0)  # standard deviations of the band-pass for single spots, texels
-_DEEPEST = 0.005  # quantile of it that is the depth of the darkest spots
+_SPOT_BAND = (1.0, 4.0)  # standard deviations of the band-pass for single spots, texels
+_DEEPEST = 0.005  # quantile of it, from either end, that is the depth of the spots
 _SHALLOW = 0.05  # depth, log luminance, that nobody sees of a single spot
+# Position of lights, plane units: to the left of the sample, and above; grazing, to show relief.
+SIDES = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
+LIT = 1024  # texels along the long side that are rendered under them, at least
+_LIT_OCTAVES = (0, 4)  # octaves of texture whose contrast is compared, from 1 texel to 16
+_PATCH_TILES = 16  # across the picture, for directions
+_AROUND = 1.5  # standard deviation of what is around a tile, tiles
+_UNSEEN_CODES = 2.0  # of 255, in which a developed photograph is uncertain
 _TILES = 8  # across the picture, for contrasts of texture
 _BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
 _PLACES = (4, 3)  # number of windows across and down
@@ -81,12 +90,12 @@ class Measurements:
     light: float
     """Root-mean-square difference of log luminance that varies with position as light does (linear,
     or by distance from the centre)."""
-    texture: float
+    texture: float = math.nan
     """Texture distance between re-rendering and photograph over that between neighbouring parts of
     the photograph; NaN if that is too small."""
-    contrast: Mapping[str, tuple[float, float]]
+    contrast: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By band and region: root-mean-square log luminance of the texture."""
-    order: tuple[float, float] | None
+    order: tuple[float, float] | None = None
     """Autocorrelation at a lag of one period, at most 1; None without a lattice."""
     exemplar: ExemplarMeasurements = ExemplarMeasurements()
     """Measurements on the exemplar itself."""
@@ -94,11 +103,49 @@ class Measurements:
     """Measurement of each cause by its name (photo/checks.py)."""
     photographs: int = 1
     """Number of photographs of the sample."""
-    pits: float = 1.0
-    """Depth of the darkest spots in the light, re-rendered over photographed; 1 where clipped."""
+    spots: float = 1.0
+    """Depth of the brightest spots over that of the darkest, re-rendered over photographed, in the
+    light or beside it: above 1 specks, below 1 pits; 1 where clipped."""
+    relief: float = 1.0
+    """Contrast of texture lit from a side over the photograph's (lit_contrast)."""
+    patches: float = math.nan
+    """Patchiness of the field lit from the sides over the exemplar's (patchiness)."""
+    itself: Measurements | None = None
+    """Those of the exemplar itself, not rearranged; None without one."""
     regions: Mapping[str, Region] = field(default_factory=dict)
-    """Where it is seen, by `highlight`, `texture`, `pits` and band of contrast, in the upright
+    """Where it is seen, by `highlight`, `texture`, `spots` and band of contrast, in the upright
     picture."""
+
+    def of_texture(
+        self,
+        photo: Photo,
+        pictures: tuple[Picture, Picture],
+        valid: TexelMask,
+        waves: tuple[Wave, ...] = (),
+    ) -> Measurements:
+        """With the texture of `pictures`, photograph and re-rendering, clipped alike."""
+        developed = not (photo.radiometric or photo.floating)
+        plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=photo.headroom)
+        rendering = planes_of(pictures[1])
+
+        def of_contrast() -> tuple[dict[str, tuple[float, float]], dict[str, Region]]:
+            tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
+            return texture_contrasts(pictures[0], tiles, developed=developed)
+
+        (texture, regions), (contrast, where), (spots, spot) = at_once(
+            partial(texture_difference, plane, rendering),
+            of_contrast,
+            partial(uneven_spots, pictures, valid),
+        )
+        regions |= where | spot
+        return replace(
+            self,
+            texture=texture,
+            contrast=contrast,
+            order=_order(plane, rendering, waves) if waves else None,
+            spots=spots,
+            regions={name: upright_region(photo, region) for name, region in regions.items()},
+        )
 
 
 def measure_capture(
@@ -125,49 +172,24 @@ def measure_capture(
     # Both are clipped at the camera's limit.
     limit = photo.headroom
     pictures = np.minimum(rectified, limit), np.minimum(rerendered, limit)
-    developed = not (photo.radiometric or photo.floating)
+    smooth = _smooth(pictures[0]), _smooth(pictures[1])
+    colour, light = smooth_difference(*smooth)
+    highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
     inside = valid | (rectified > FULL * limit).any(axis=2)
-    plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=limit)
-    rendering = planes_of(pictures[1])
-
-    def of_contrast() -> tuple[Any, ...]:
-        tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
-        return texture_contrasts(pictures[0], tiles, developed=developed)
-
-    (texture, regions), (contrast, where), (pits, spot), of_the_light = at_once(
-        partial(texture_difference, plane, rendering),
-        of_contrast,
-        partial(dark_spots, pictures, valid),
-        partial(_light_measures, pictures, exemplar),
-    )
-    colour, light, highlights, causes = of_the_light
-    regions |= where | spot
-    if (seen := highlights[0] or highlights[1]) is not None:
-        regions["highlight"] = _around(seen, rectified.shape)
-    return Measurements(
+    measured = Measurements(
         photograph=inspected or inspect_photo(photo, setup.tilt),
         highlights=highlights,
         profile=highlight_profile(pictures, inside, valid, setup, limit),
         colour=colour,
         light=light,
-        texture=texture,
-        contrast=contrast,
-        order=_order(plane, rendering, waves) if waves else None,
         exemplar=exemplar,
-        causes=causes,
-        pits=pits,
-        regions={name: upright_region(photo, region) for name, region in regions.items()},
+        causes=measure_causes(smooth, pictures, highlights, exemplar),
     )
-
-
-def _light_measures(
-    pictures: tuple[Picture, Picture], exemplar: ExemplarMeasurements
-) -> tuple[Any, ...]:
-    """Colour and light (smooth_difference), highlights and causes of two pictures (H, W, 3)."""
-    smooth = _smooth(pictures[0]), _smooth(pictures[1])
-    highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
-    causes = measure_causes(smooth, pictures, highlights, exemplar)
-    return *smooth_difference(*smooth), highlights, causes
+    measured = measured.of_texture(photo, pictures, valid, waves)
+    if (seen := highlights[0] or highlights[1]) is None:
+        return measured
+    around = upright_region(photo, _around(seen, rectified.shape))
+    return replace(measured, regions={**measured.regions, "highlight": around})
 
 
 def _around(highlight: Highlight, shape: tuple[int, ...]) -> Region:
@@ -235,26 +257,117 @@ def texture_contrasts(
     return contrast, places
 
 
-def dark_spots(
+def uneven_spots(
     pictures: tuple[Picture, Picture], valid: TexelMask
 ) -> tuple[float, dict[str, Region]]:
-    """Depth of the darkest spots in the light, re-rendered over photographed, and their place.
+    """Depth of the brightest spots over that of the darkest, re-rendered over photographed, where
+    it differs most, in the light or beside it; and the place of most of them.
 
-    Medians over tiles leave out black pits that few texels show. 1 and none where the light is
-    clipped.
+    Medians over tiles leave out what few texels show: white specks of a glint that are rendered
+    everywhere, black pits. 1 and none where the picture is clipped.
 
     Args:
         pictures: (H, W, 3) linear, photograph and re-rendering.
         valid: (H, W) bool, inside of the photograph and not clipped.
     """
-    lit = _bright_tiles(pictures[0]).astype(np.uint8)
-    seen = cv2.resize(lit, valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(bool) & valid
-    if seen.mean() < _BRIGHT * _LEAST_SEEN:
-        return 1.0, {}
     bands = [band_passed(_log_luminance(each), *_SPOT_BAND) for each in pictures]
-    before, after = (max(-float(np.quantile(band[seen], _DEEPEST)), 0.0) for band in bands)
-    deepest = cell_means((seen & (bands[1] < -after)).astype(np.float32), _TILES)
-    return (after + _SHALLOW) / (before + _SHALLOW), {"pits": _tile(deepest)}
+    lit = _bright_tiles(pictures[0]).astype(np.uint8)
+    bright = cv2.resize(lit, valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(bool)
+    strongest, places = 1.0, {}
+    for seen in (bright & valid, ~bright & valid):
+        if seen.mean() < _BRIGHT * _LEAST_SEEN:
+            continue
+        (dark, high), (darker, higher) = (_depths(band[seen]) for band in bands)
+        ratio = higher / darker / (high / dark)
+        if abs(math.log(ratio)) > abs(math.log(strongest)):
+            shown = bands[1] > higher - _SHALLOW if ratio > 1.0 else bands[1] < _SHALLOW - darker
+            strongest = ratio
+            places = {"spots": _tile(cell_means((seen & shown).astype(np.float32), _TILES))}
+    return strongest, places
+
+
+def _depths(band: Picture) -> tuple[float, float]:
+    """Depth of the darkest spots of a band, and of the brightest."""
+    low, high = np.quantile(band, (_DEEPEST, 1.0 - _DEEPEST))
+    return max(-float(low), 0.0) + _SHALLOW, max(float(high), 0.0) + _SHALLOW
+
+
+# Of maps lit from the sides, as nobody has photographed them.
+
+
+def lit_from(
+    side: str,
+    maps: MapSet,
+    setup: FlashSetup,
+    rows: slice = slice(None),
+    columns: slice = slice(None),
+) -> Picture:
+    """(h, w, 3) radiance of texels of maps under a light of SIDES, from the photograph's camera."""
+    points = points_of(maps.size[::-1])
+    if setup.turned:
+        points *= maps.size[0] / maps.size[1]  # the long side is two plane units, here upwards
+    camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(SIDES[side])
+    some = replace(maps, painted=maps.normal).map(lambda planes: planes[..., rows, columns])
+    with torch.no_grad():
+        radiance = shade(some, points[:, rows, columns], camera, light, torch.ones(3))
+    return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
+
+
+def lit_from_sides(maps: MapSet, setup: FlashSetup) -> tuple[Picture, ...]:
+    """Maps under all lights of SIDES, at most about LIT texels across."""
+    every = slice(None, None, max(1, max(maps.size) // LIT))
+    return tuple(lit_from(side, maps, setup, every, every) for side in SIDES)
+
+
+def lit_contrast(photographed: Picture, valid: TexelMask, lit: Sequence[Picture]) -> float:
+    """Contrast of texture lit from the sides over the photograph's, in its most different octave.
+
+    Gloss or colour that is taken for relief, and relief for colour, show under other lights alone.
+
+    Args:
+        photographed: (H, W, 3) linear.
+        valid: (H, W) bool.
+        lit: from lit_from_sides, in the photograph's orientation or upright.
+    """
+    every = slice(None, None, max(1, max(photographed.shape) // LIT))
+    own = _octaves(photographed[every, every], valid[every, every])
+    others = np.mean([np.log(_octaves(one)) for one in lit], axis=0)
+    factors = np.exp(others - np.log(own))
+    return float(factors[np.abs(np.log(factors)).argmax()])
+
+
+def _octaves(picture: Picture, valid: TexelMask | None = None) -> NDArray[np.float64]:
+    """Root of the median over tiles of the variance of log luminance, by octave, with UNSEEN."""
+    seen = np.ones(picture.shape[:2], np.float32) if valid is None else valid.astype(np.float32)
+    share = cell_means(seen, _TILES)
+    tiles, log = share > _LEAST_SEEN, _log_luminance(picture)
+    tiles = tiles if tiles.any() else np.ones_like(tiles)
+    contrasts = []
+    for octave in range(*_LIT_OCTAVES):
+        band = band_passed(log, 2.0**octave, 2.0 ** (octave + 1))
+        variance = cell_means(np.square(band) * seen, _TILES) / np.maximum(share, 1e-6)
+        contrasts.append(math.sqrt(float(np.median(variance[tiles]))) + UNSEEN)
+    return np.array(contrasts)
+
+
+def patchiness(picture: Picture) -> float:
+    """How much the direction of the finest texture differs from that around, root-mean-square.
+
+    Directions are (Gxx - Gyy, 2 Gxy) / (Gxx + Gyy) of the structure tensor of log luminance, in
+    [-1, 1], of _PATCH_TILES across: patches lit along different directions are a quilt.
+    """
+    log = cv2.GaussianBlur(_log_luminance(picture), (0, 0), 1.0)
+    down, across = np.gradient(log)
+    tiles = [
+        cell_means(product, _PATCH_TILES)
+        for product in (across * across, down * down, across * down)
+    ]
+    total = tiles[0] + tiles[1] + 1e-6
+    variance = 0.0
+    for direction in ((tiles[0] - tiles[1]) / total, 2.0 * tiles[2] / total):
+        around = cv2.GaussianBlur(direction, (0, 0), _AROUND, borderType=cv2.BORDER_REFLECT)
+        variance += float(np.square(direction - around).mean())
+    return math.sqrt(variance)
 
 
 def _bright_tiles(picture: Picture) -> NDArray[np.bool_]:
@@ -284,13 +397,13 @@ def tile_contrasts(picture: Picture) -> dict[str, Picture]:
 
 
 def _code_variance(picture: Picture) -> dict[str, Picture]:
-    """By band, variance in each tile by an error of one code: of log luminance, all channels alike,
-    and of log red / green and blue / green, each channel for itself. `picture` is linear.
+    """By band, variance in each tile by an error of _UNSEEN_CODES: of log luminance, all channels
+    alike, and of log red / green and blue / green, each for itself. `picture` is linear.
     """
     tiles = cell_means(picture, _TILES)
     grey = channel_mean(tiles)
-    luminance = np.square(code_step(grey) / (grey + _toe(channel_mean(picture))))
-    variance = np.square(code_step(tiles) / (tiles + _floors(picture)))
+    luminance = np.square(_UNSEEN_CODES * code_step(grey) / (grey + _toe(channel_mean(picture))))
+    variance = np.square(_UNSEEN_CODES * code_step(tiles) / (tiles + _floors(picture)))
     coloured = np.asarray(variance[..., ::2].mean(axis=2) + variance[..., 1])
     return {"fine": luminance, "coarse": luminance, "coloured": coloured}
 
