@@ -178,7 +178,7 @@ def test_the_report_states_settings_and_results(matcap, pipeline, photo, out):
 def test_the_verdict_is_printed_and_strict_sets_the_exit_code(matcap, pipeline, photo, out):
     said = matcap("capture", photo, "-o", out, "--size", 16)
     assert said.code == 0
-    assert "failed: the photograph itself: the picture is one plain colour, without" in said.err
+    assert "failed: the picture is one plain colour, without" in said.err
     assert "error" not in said.err
     again = ("--size", 16, "--strict", "--overwrite")
     assert matcap("capture", photo, "-o", out, *again).code == 3
