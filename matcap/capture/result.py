@@ -34,7 +34,10 @@ from matcap.files.threads import at_once, one_thread
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
+from matcap.photo.checks import Rating
 from matcap.photo.photo import Photo, quarter_turn, standing
+
+Pixels = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -170,11 +173,10 @@ def judge_material(
     photo, plane, turned = rectified.photo, rectified.whole, material.setup.turned
     with clock.completed("verdict"):
 
-        def shown() -> tuple[MapSet, NDArray[np.float32]]:
+        def shown() -> tuple[MapSet, Pixels]:
             size = plane.size[::-1] if turned else plane.size
             maps = material.maps(*size, seed=settings.seed)
-            with torch.inference_mode():
-                return maps, picture_of(render_rectified(maps, material.setup))
+            return maps, _rendered(maps, material.setup)
 
         def measured() -> ExemplarMeasurements | None:
             seed = settings.seed if tuning is None else None
@@ -182,11 +184,9 @@ def judge_material(
                 return None
             return ExemplarMeasurements.of(estimate, rectified, material.setup, seed)
 
-        (maps, rerendered), inspected, about = at_once(
+        (maps, landscape), inspected, about = at_once(
             shown, partial(checked, photo, rectified.coarse, plane), measured
         )
-        # Pictures are measured in landscape format.
-        landscape = np.ascontiguousarray(quarter_turn(rerendered)) if turned else rerendered
         whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
         compared = np.where(kept, whole, landscape)  # a difference of zero where masked
         seen = np.where(kept, whole, np.float32(0.0))
@@ -197,17 +197,22 @@ def judge_material(
         )
         others = material.provenance.get("others", ())
         measurements = replace(measurements, photographs=1 + len(others))
-        itself = None
-        if estimate is not None and tuning is None:
-            itself = map_set_of(estimate.first_rectangle)
-        observed = photo, compared, valid
-        measurements = _under_other_lights(measurements, observed, maps, itself, material.setup)
+        itself = map_set_of(estimate.first_rectangle) if estimate and tuning is None else maps
+        if itself.size != maps.size:  # of several photographs it may be smaller
+            itself = maps
+        other = () if itself is maps else lit_from_sides(itself, material.setup)
+        field = lit_from_sides(maps, material.setup)
+        measurements = _of_sides(measurements, compared, valid, field, other)
         verdict = judge(measurements)
+        if itself is not maps and verdict.rating is not Rating.GOOD:
+            own = _rendered(replace(itself, painted=itself.normal), material.setup)
+            measurements = _of_exemplar(measurements, photo, (compared, own), valid)
+            verdict = judge(measurements)
     return CaptureResult(
         photo=photo,
         material=material,
         rectified=standing(seen) if turned else seen,
-        rerendered=rerendered,
+        rerendered=standing(landscape) if turned else landscape,
         maps=maps,
         measurements=measurements,
         verdict=verdict,
@@ -219,35 +224,38 @@ def judge_material(
     )
 
 
-def _under_other_lights(
-    measured: Measurements,
-    observed: tuple[Photo, NDArray[np.float32], NDArray[np.bool_]],
-    maps: MapSet,
-    itself: MapSet | None,
-    setup: FlashSetup,
-) -> Measurements:
-    """Measurements with those under lights from the sides, and of the exemplar itself.
-
-    Args:
-        measured: of a field.
-        observed: the photograph, its pixels on the plane's grid, and which are valid.
-        maps: the field's.
-        itself: the exemplar's maps, which tell what of a fault is of its rearrangement; or None.
-    """
-    photo, pixels, valid = observed
-    lit = lit_from_sides(maps, setup)
-    measured = replace(measured, relief=lit_contrast(pixels, valid, lit))
-    if itself is None or itself.size != maps.size:  # of several photographs it may be smaller
-        return measured
-    itself = replace(itself, painted=itself.normal)
+def _rendered(maps: MapSet, setup: FlashSetup) -> Pixels:
+    """(H, W, 3) maps under the flash of their photograph, in landscape format, to be measured."""
     with torch.inference_mode():
-        rerendered = picture_of(render_rectified(itself, setup))
-    own = np.ascontiguousarray(quarter_turn(rerendered)) if setup.turned else rerendered
-    pictures = np.minimum(pixels, photo.headroom), np.minimum(own, photo.headroom)
-    pairs = zip(lit, lit_from_sides(itself, setup), strict=True)
-    ratios = [patchiness(field) / max(patchiness(one), 1e-6) for field, one in pairs]
-    patches = float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6)))))
-    return replace(measured, patches=patches, itself=measured.of_texture(photo, pictures, valid))
+        picture = picture_of(render_rectified(maps, setup))
+    return np.ascontiguousarray(quarter_turn(picture)) if setup.turned else picture
+
+
+def _of_sides(
+    measured: Measurements,
+    photographed: Pixels,
+    valid: NDArray[np.bool_],
+    field: tuple[Pixels, ...],
+    exemplar: tuple[Pixels, ...],
+) -> Measurements:
+    """Measurements with those of field and exemplar, or of none, lit from the sides."""
+    measured = replace(measured, relief=lit_contrast(photographed, valid, field))
+    if not exemplar:
+        return measured
+    pairs = zip(field, exemplar, strict=True)
+    ratios = [patchiness(one) / max(patchiness(other), 1e-6) for one, other in pairs]
+    return replace(measured, patches=float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6))))))
+
+
+def _of_exemplar(
+    measured: Measurements, photo: Photo, pictures: tuple[Pixels, Pixels], valid: NDArray[np.bool_]
+) -> Measurements:
+    """Measurements with the exemplar's own: what it has of a fault is not of its rearrangement.
+
+    `pictures` are the photograph and the re-rendered exemplar, (H, W, 3) linear.
+    """
+    before, after = (np.minimum(each, photo.headroom) for each in pictures)
+    return replace(measured, itself=measured.of_texture(photo, (before, after), valid))
 
 
 def provenance(
