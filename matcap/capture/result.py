@@ -23,6 +23,7 @@ from matcap.capture.verdict.causes import ExemplarMeasurements
 from matcap.capture.verdict.judge import CaptureVerdict, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
+    Picture,
     lit_contrast,
     lit_from_sides,
     measure_capture,
@@ -36,8 +37,6 @@ from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
 from matcap.photo.checks import Rating
 from matcap.photo.photo import Photo, quarter_turn, standing
-
-Pixels = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ def judge_material(
     photo, plane, turned = rectified.photo, rectified.whole, material.setup.turned
     with clock.completed("verdict"):
 
-        def shown() -> tuple[MapSet, Pixels]:
+        def shown() -> tuple[MapSet, Picture]:
             size = plane.size[::-1] if turned else plane.size
             maps = material.maps(*size, seed=settings.seed)
             return maps, _rendered(maps, material.setup)
@@ -197,17 +196,10 @@ def judge_material(
         )
         others = material.provenance.get("others", ())
         measurements = replace(measurements, photographs=1 + len(others))
-        itself = map_set_of(estimate.first_rectangle) if estimate and tuning is None else maps
-        if itself.size != maps.size:  # of several photographs it may be smaller
-            itself = maps
-        other = () if itself is maps else lit_from_sides(itself, material.setup)
-        field = lit_from_sides(maps, material.setup)
-        measurements = _of_sides(measurements, compared, valid, field, other)
-        verdict = judge(measurements)
-        if itself is not maps and verdict.rating is not Rating.GOOD:
-            own = _rendered(replace(itself, painted=itself.normal), material.setup)
-            measurements = _of_exemplar(measurements, photo, (compared, own), valid)
-            verdict = judge(measurements)
+        itself = map_set_of(estimate.first_rectangle) if estimate and tuning is None else None
+        measurements, verdict = _judged(
+            measurements, photo, (compared, valid), (maps, itself), material.setup
+        )
     return CaptureResult(
         photo=photo,
         material=material,
@@ -224,38 +216,43 @@ def judge_material(
     )
 
 
-def _rendered(maps: MapSet, setup: FlashSetup) -> Pixels:
+def _rendered(maps: MapSet, setup: FlashSetup) -> Picture:
     """(H, W, 3) maps under the flash of their photograph, in landscape format, to be measured."""
     with torch.inference_mode():
         picture = picture_of(render_rectified(maps, setup))
     return np.ascontiguousarray(quarter_turn(picture)) if setup.turned else picture
 
 
-def _of_sides(
+def _judged(
     measured: Measurements,
-    photographed: Pixels,
-    valid: NDArray[np.bool_],
-    field: tuple[Pixels, ...],
-    exemplar: tuple[Pixels, ...],
-) -> Measurements:
-    """Measurements with those of field and exemplar, or of none, lit from the sides."""
-    measured = replace(measured, relief=lit_contrast(photographed, valid, field))
-    if not exemplar:
-        return measured
-    pairs = zip(field, exemplar, strict=True)
-    ratios = [patchiness(one) / max(patchiness(other), 1e-6) for one, other in pairs]
-    return replace(measured, patches=float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6))))))
+    photo: Photo,
+    observed: tuple[Picture, NDArray[np.bool_]],
+    maps: tuple[MapSet, MapSet | None],
+    setup: FlashSetup,
+) -> tuple[Measurements, CaptureVerdict]:
+    """The verdict, and measurements with those of maps lit from the sides.
 
-
-def _of_exemplar(
-    measured: Measurements, photo: Photo, pictures: tuple[Pixels, Pixels], valid: NDArray[np.bool_]
-) -> Measurements:
-    """Measurements with the exemplar's own: what it has of a fault is not of its rearrangement.
-
-    `pictures` are the photograph and the re-rendered exemplar, (H, W, 3) linear.
+    Args:
+        measured: of the field.
+        observed: the photograph (H, W, 3), linear, and which texels (H, W) of it are valid.
+        maps: the field's; and the exemplar's, which tell what of a fault is of its rearrangement.
     """
-    before, after = (np.minimum(each, photo.headroom) for each in pictures)
-    return replace(measured, itself=measured.of_texture(photo, (before, after), valid))
+    (pixels, valid), (field, exemplar) = observed, maps
+    lit = lit_from_sides(field, setup)
+    measured = replace(measured, relief=lit_contrast(pixels, valid, lit))
+    if exemplar is None or exemplar.size != field.size:  # of several photographs it may be smaller
+        return measured, judge(measured)
+    pairs = zip(lit, lit_from_sides(exemplar, setup), strict=True)
+    ratios = [patchiness(one) / max(patchiness(other), 1e-6) for one, other in pairs]
+    patches = float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6)))))
+    measured = replace(measured, patches=patches)
+    verdict = judge(measured)
+    if verdict.rating is Rating.GOOD:
+        return measured, verdict
+    own = _rendered(replace(exemplar, painted=exemplar.normal), setup)
+    pictures = np.minimum(pixels, photo.headroom), np.minimum(own, photo.headroom)
+    measured = replace(measured, itself=measured.of_texture(photo, pictures, valid))
+    return measured, judge(measured)
 
 
 def provenance(

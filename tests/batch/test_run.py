@@ -15,7 +15,7 @@ import matcap.batch.run
 from matcap.batch.run import Batch, Event, Prepared, exit_code
 from matcap.batch.samples import BatchSettings, Policy, find_samples
 from matcap.batch.work import Failure, do_job, make_plan, open_run, recorded
-from matcap.capture import pipeline
+from matcap.capture import run as capture_run
 from matcap.cli.main import main
 from matcap.files.names import Progress
 from matcap.files.output import Output
@@ -248,7 +248,7 @@ def test_every_exception_of_a_worker_is_returned_as_a_failure(batch, monkeypatch
     def fail(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr(pipeline, "load_photo", fail)
+    monkeypatch.setattr(capture_run, "load_photo", fail)
     _, workers, _ = batch()
     failure = do_job(workers.jobs[0], lambda now: None)
     assert failure.kind == kind and failure.sentence.endswith(".")
