@@ -24,7 +24,6 @@ from matcap.capture.verdict.judge import CaptureVerdict, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
     Picture,
-    lit_contrast,
     lit_from_sides,
     measure_capture,
     patchiness,
@@ -238,11 +237,9 @@ def _judged(
         maps: the field's; and the exemplar's, which tell what of a fault is of its rearrangement.
     """
     (pixels, valid), (field, exemplar) = observed, maps
-    lit = lit_from_sides(field, setup)
-    measured = replace(measured, relief=lit_contrast(pixels, valid, lit))
     if exemplar is None or exemplar.size != field.size:  # of several photographs it may be smaller
         return measured, judge(measured)
-    pairs = zip(lit, lit_from_sides(exemplar, setup), strict=True)
+    pairs = zip(lit_from_sides(field, setup), lit_from_sides(exemplar, setup), strict=True)
     ratios = [patchiness(one) / max(patchiness(other), 1e-6) for one, other in pairs]
     patches = float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6)))))
     measured = replace(measured, patches=patches)

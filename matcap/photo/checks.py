@@ -342,12 +342,6 @@ _TABLE = (
         seen="specks or pits", factor=True,
     ),
     QualityCheck(
-        "relief", "contrast of texture lit from the left and the top over the photograph's",
-        "times", (1.25, 1.45, 2.5),
-        "texture lit from a side is {more_or_less} than in the photograph",
-        seen="too rough or too flat by side light", factor=True,
-    ),
-    QualityCheck(
         "patches", "how much more the texture's direction differs from place to place than in the "
         "photographed rectangle, lit from the left and the top", "share", (0.15, 0.3, 0.7),
         "patches whose texture runs in other directions show when it is lit from a side",

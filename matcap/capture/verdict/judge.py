@@ -40,7 +40,6 @@ _WIDEST = 0.34  # largest half width of a visible highlight, plane units (below 
 _FAINTEST = 2.0  # least peak of a visible highlight over its surroundings
 _LEAST_ORDER = 0.15  # least autocorrelation at one period of a photograph with a visible lattice
 _MOST_LISTED = 3  # small differences in a sentence
-_SHADED = 1.15  # times as strong as true relief may be when it is lit from a side
 _SLIGHT = 0.6  # severity up to which a finding is not explained: any number of them is good
 
 
@@ -231,8 +230,6 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield _contrast(seen)
     yield _spots(seen.spots)
     yield _pattern(seen)
-    relief = max(seen.relief / _SHADED, 1.0) if seen.relief > 1.0 else seen.relief
-    yield CHECKS["relief"].finding(relief, more_or_less=_factor(seen.relief))
     yield CHECKS["patches"].finding(seen.patches - min(seen.patches, 1.0))
     yield from _exemplar(seen.exemplar)
 

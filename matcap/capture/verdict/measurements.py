@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -64,7 +64,6 @@ _SHALLOW = 0.05  # depth, log luminance, that nobody sees of a single spot
 # Position of lights, plane units: to the left of the sample, and above; grazing, to show relief.
 SIDES = {"left": (-2.5, 0.0, 1.5), "top": (0.0, 2.0, 1.2)}
 LIT = 1024  # texels along the long side that are rendered under them, at least
-_LIT_OCTAVES = (0, 4)  # octaves of texture whose contrast is compared, from 1 texel to 16
 _PATCH_TILES = 16  # across the picture, for directions
 _AROUND = 1.5  # standard deviation of what is around a tile, tiles
 _UNSEEN_CODES = 2.0  # of 255, in which a developed photograph is uncertain
@@ -106,8 +105,6 @@ class Measurements:
     spots: float = 1.0
     """Depth of the brightest spots over that of the darkest, re-rendered over photographed, in the
     light or beside it: above 1 specks, below 1 pits; 1 where clipped."""
-    relief: float = 1.0
-    """Contrast of texture lit from a side over the photograph's (lit_contrast)."""
     patches: float = math.nan
     """Patchiness of the field lit from the sides over the exemplar's (patchiness)."""
     itself: Measurements | None = None
@@ -317,37 +314,6 @@ def lit_from_sides(maps: MapSet, setup: FlashSetup) -> tuple[Picture, ...]:
     """Maps under all lights of SIDES, at most about LIT texels across."""
     every = slice(None, None, max(1, max(maps.size) // LIT))
     return tuple(lit_from(side, maps, setup, every, every) for side in SIDES)
-
-
-def lit_contrast(photographed: Picture, valid: TexelMask, lit: Sequence[Picture]) -> float:
-    """Contrast of texture lit from the sides over the photograph's, in its most different octave.
-
-    Gloss or colour that is taken for relief, and relief for colour, show under other lights alone.
-
-    Args:
-        photographed: (H, W, 3) linear.
-        valid: (H, W) bool.
-        lit: from lit_from_sides, in the photograph's orientation or upright.
-    """
-    every = slice(None, None, max(1, max(photographed.shape) // LIT))
-    own = _octaves(photographed[every, every], valid[every, every])
-    others = np.mean([np.log(_octaves(one)) for one in lit], axis=0)
-    factors = np.exp(others - np.log(own))
-    return float(factors[np.abs(np.log(factors)).argmax()])
-
-
-def _octaves(picture: Picture, valid: TexelMask | None = None) -> NDArray[np.float64]:
-    """Root of the median over tiles of the variance of log luminance, by octave, with UNSEEN."""
-    seen = np.ones(picture.shape[:2], np.float32) if valid is None else valid.astype(np.float32)
-    share = cell_means(seen, _TILES)
-    tiles, log = share > _LEAST_SEEN, _log_luminance(picture)
-    tiles = tiles if tiles.any() else np.ones_like(tiles)
-    contrasts = []
-    for octave in range(*_LIT_OCTAVES):
-        band = band_passed(log, 2.0**octave, 2.0 ** (octave + 1))
-        variance = cell_means(np.square(band) * seen, _TILES) / np.maximum(share, 1e-6)
-        contrasts.append(math.sqrt(float(np.median(variance[tiles]))) + UNSEEN)
-    return np.array(contrasts)
 
 
 def patchiness(picture: Picture) -> float:

@@ -20,7 +20,6 @@ from matcap.capture.verdict.causes import ExemplarMeasurements, HighlightProfile
 from matcap.capture.verdict.judge import findings, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
-    lit_contrast,
     measure_capture,
     patchiness,
     smooth_difference,
@@ -292,17 +291,6 @@ def test_pits_and_specks_that_few_texels_show_are_seen(by, ratio):
     assert uneven_spots((seen, made), ~whole) == (1.0, {})
 
 
-def test_texture_that_only_side_light_shows_or_loses_is_a_factor():
-    seen = np.repeat(np.exp(0.3 * _grain(5)), 3, 2)
-    whole = np.ones(seen.shape[:2], bool)
-    assert lit_contrast(seen, whole, (seen, seen)) == pytest.approx(1.0)
-    assert lit_contrast(seen, whole, (seen**3, seen**3)) > 2.0
-    assert lit_contrast(seen, whole, (seen**0.3, seen**0.3)) < 0.6
-    # The side light's own shading is no texture.
-    shaded = seen * np.linspace(0.5, 2.0, seen.shape[1], dtype=np.float32)[None, :, None]
-    assert lit_contrast(seen, whole, (shaded, shaded)) == pytest.approx(1.0, abs=0.1)
-
-
 def test_patches_of_other_directions_are_a_quilt_and_a_slow_bend_is_none():
     y, x = np.mgrid[:384, :512].astype(np.float32)
     rough = 0.3 * _grain(6, (384, 512))[..., 0]
@@ -374,8 +362,6 @@ BAD = [
     ({"contrast": {"fine": (0.1, 0.1), "coarse": (0.0, 0.05)}}, "contrast", "failed"),
     ({"spots": 2.2}, "spots", "doubtful"),
     ({"spots": 0.45}, "spots", "doubtful"),
-    ({"relief": 2.0}, "relief", "doubtful"),
-    ({"relief": 0.5}, "relief", "doubtful"),
     ({"patches": 1.6}, "patches", "doubtful"),
     ({"order": (0.5, 0.05)}, "pattern", "failed"),
     (shot_with("stationarity", 4.0), "photograph", "doubtful"),
