@@ -34,7 +34,6 @@ from matcap.files.threads import at_once, one_thread
 from matcap.flash.geometry import FlashSetup
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import picture_of
-from matcap.photo.checks import Rating
 from matcap.photo.photo import Photo, quarter_turn, standing
 
 
@@ -239,15 +238,18 @@ def _judged(
     (pixels, valid), (field, exemplar) = observed, maps
     if exemplar is None or exemplar.size != field.size:  # of several photographs it may be smaller
         return measured, judge(measured)
-    pairs = zip(lit_from_sides(field, setup), lit_from_sides(exemplar, setup), strict=True)
-    ratios = [patchiness(one) / max(patchiness(other), 1e-6) for one, other in pairs]
-    patches = float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-6)))))
-    measured = replace(measured, patches=patches)
+
+    def log_patches(of: MapSet) -> float:
+        lit = [patchiness(picture) for picture in lit_from_sides(of, setup)]
+        return float(np.log(np.maximum(lit, 1e-6)).mean())
+
+    ours, own = at_once(partial(log_patches, field), partial(log_patches, exemplar))
+    measured = replace(measured, patches=math.exp(ours - own))
     verdict = judge(measured)
-    if verdict.rating is Rating.GOOD:
+    if not verdict.asks_for_exemplar:
         return measured, verdict
-    own = _rendered(replace(exemplar, painted=exemplar.normal), setup)
-    pictures = np.minimum(pixels, photo.headroom), np.minimum(own, photo.headroom)
+    rendered = _rendered(replace(exemplar, painted=exemplar.normal), setup)
+    pictures = np.minimum(pixels, photo.headroom), np.minimum(rendered, photo.headroom)
     measured = replace(measured, itself=measured.of_texture(photo, pictures, valid))
     return measured, judge(measured)
 

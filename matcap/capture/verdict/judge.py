@@ -79,6 +79,11 @@ class CaptureVerdict:
         seen = others if first.rating is Rating.GOOD else self.findings
         return max(seen, key=lambda finding: finding.severity)
 
+    @property
+    def asks_for_exemplar(self) -> bool:
+        """Whether the exemplar's own texture tells why: a fault of the texture is the worst."""
+        return self.rating is not Rating.GOOD and self.worst.name in _IN_TEXTURE
+
     def sentence(self) -> str:
         """The verdict in one line: rating, largest difference, likely cause and remedy."""
         note = f" ({self.note})" if self.note else ""
