@@ -80,11 +80,10 @@ def capture_photo(
         setup=replace(rectified.coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
         provenance=provenance(rectified, settings, effort, several),
     )
-    with one_thread():
-        result, latent = at_once(
-            partial(judge_material, rectified, material, settings, clock, estimate),
-            partial(_latent, rectified, settings),
-        )
+    result, latent = at_once(
+        partial(judge_material, rectified, material, settings, clock, estimate),
+        partial(_latent, rectified, settings),
+    )
     result = replace(result, material=replace(result.material, latent=latent))
     if not effort.steps or result.status is RunStatus.INTERRUPTED:
         return result

@@ -420,7 +420,7 @@ class PatchSizes:
     cells: float
     """Approximate width of patches of a lattice; they are rounded to whole cells."""
     loose: bool
-    """Variety 1: squares of a power of two, not fitted to their neighbours."""
+    """Variety 1: the smallest patches, not fitted to their neighbours."""
     whole: bool
     """Variety 0: all patches are alike, the exemplar repeats."""
     aspect: float = 1.0

@@ -367,7 +367,7 @@ def initial_places(
 
 
 def _loose(lookup: Lookup, seed: int, x: Integers, y: Integers, period: Period | None) -> Positions:
-    """Places x, y of square patches that are not fitted to their neighbours."""
+    """Places x, y of patches that are not fitted to their neighbours."""
     depth, level, placement = len(lookup.levels) - 1, lookup.levels[-1], lookup.placement
     wide, high = lookup.sizes.width, lookup.sizes.height
     # The frame is inset so that a patch around its centre stays inside.

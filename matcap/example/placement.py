@@ -146,7 +146,7 @@ def spread_patches(
     frame: Frame,
     axes: tuple[PatchNumbers, PatchNumbers],
 ) -> Positions:
-    """(rows, columns) x, y at the centres of square patches, each of little cost.
+    """(rows, columns) x, y at the centres of patches, each of little cost.
 
     Squares have nine colours by their numbers modulo 3, longer patches ten. Each is chosen after
     those of the colours before its own, of which it avoids what those within reach show: a patch

@@ -28,7 +28,7 @@ C = TypeVar("C")
 def workers() -> int:
     """Number of threads that compute at once: OMP_NUM_THREADS, else the cores of this process."""
     limit = os.environ.get("OMP_NUM_THREADS", "")
-    return int(limit) if limit.isdigit() and int(limit) > 0 else cores()
+    return int(limit) if limit.isdecimal() and int(limit) > 0 else cores()
 
 
 @overload
@@ -110,7 +110,8 @@ def _alike(task: Callable[[], A]) -> Callable[[], A]:
 
 def _loaded() -> Any | None:  # noqa: ANN401
     """PyTorch, unless it is not imported, or a thread is importing it."""
-    return None if importing("torch") else sys.modules.get("torch")
+    torch = sys.modules.get("torch")  # before the question, as an import may begin in between
+    return None if importing("torch") else torch
 
 
 @contextmanager
@@ -171,7 +172,8 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 
 def compute_alone() -> None:
-    """Set PyTorch to one core for this thread and for those it starts."""
+    """Make this process, a worker beside others, compute on one core: PyTorch as at_once."""
+    os.environ["OMP_NUM_THREADS"] = "1"
     torch = sys.modules.get("torch")
     if torch is not None:
         torch.set_num_threads(1)

@@ -338,7 +338,7 @@ _TABLE = (
     QualityCheck(
         "spots", "depth of the brightest spots over that of the darkest, re-rendered over "
         "photographed, in the light or beside it", "times", (1.35, 1.6, 2.5),
-        "{what} are {more} times as strong as in the photograph, beside {other}",
+        "{what} over {other} are {more} times as strong as in the photograph",
         seen="specks or pits", factor=True,
     ),
     QualityCheck(

@@ -205,8 +205,8 @@ _task: list[Source] = []
 
 def _prepare(packed: bytes) -> None:
     """Set up a worker process: one thread, kept memory, and exit with its parent."""
-    _task.append(unpacked(packed))
     compute_alone()
+    _task.append(unpacked(packed))
     keep_memory()
     settle_child()
 

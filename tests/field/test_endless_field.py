@@ -25,7 +25,7 @@ from matcap.field.material import Material
 from matcap.field.opened import open_tile
 from matcap.field.options import ReadOptions
 from matcap.field.plane import Rectangle
-from matcap.files.threads import at_once, one_thread, single_threaded
+from matcap.files.threads import at_once, compute_alone, one_thread, single_threaded, workers
 from matcap.space.decoder import CODE_SIZE
 from matcap.space.freeze import Drawing, reference_field
 from matcap.space.random_field import Patch, noise_field, wave_field
@@ -311,6 +311,11 @@ def test_one_thread_is_for_its_context_alone_and_restores_the_number_after_an_er
 def some_workers(request, monkeypatch, two_threads):
     monkeypatch.setenv("OMP_NUM_THREADS", request.param)
     return int(request.param)
+
+
+def test_a_process_beside_others_computes_on_one_core(some_workers):
+    compute_alone()
+    assert workers() == 1 and threads_after_an_operator() == 1
 
 
 def test_tasks_at_once_are_as_many_as_allowed_and_each_computes_on_one_core(some_workers):

@@ -35,6 +35,7 @@ from matcap.capture.exemplar.network.network import (
 from matcap.capture.exemplar.predict import seen_colour, specular_tint
 from matcap.errors import MatcapError
 from matcap.files.tensors import write_tensors
+from matcap.files.threads import compute_alone
 from matcap.flash.light import FlashLight
 from matcap.statistics.compare import FilterBank, FilterBankConfig, gram, pyramid
 from matcap_lab.inverse.samples import HELD_OUT, REAL_SHARE, Sample, draw_sample, training_sets
@@ -419,7 +420,7 @@ def _samples(step: int, settings: TrainSettings) -> Generator[SampleBatch, None,
             yield [_made((step * settings.batch + i, settings)) for i in range(settings.batch)]
             step += 1
     context = multiprocessing.get_context("spawn")
-    with context.Pool(settings.workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with context.Pool(settings.workers, initializer=compute_alone) as pool:
         waiting: list[AsyncResult[tuple[Tensor, Sample]]] = []
         number = step * settings.batch
         while True:

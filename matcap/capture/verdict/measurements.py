@@ -311,7 +311,7 @@ def lit_from(
 
 
 def lit_from_sides(maps: MapSet, setup: FlashSetup) -> tuple[Picture, ...]:
-    """Maps under all lights of SIDES, at most about LIT texels across."""
+    """Maps under all lights of SIDES, thinned to LIT texels along the long side or more."""
     every = slice(None, None, max(1, max(maps.size) // LIT))
     return tuple(lit_from(side, maps, setup, every, every) for side in SIDES)
 
