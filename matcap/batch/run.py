@@ -541,7 +541,7 @@ def work_off(
 def predict(prepared: Prepared) -> dict[str, Any]:
     """Predict time, disk space and memory of the samples to do, as JSON.
 
-    From materials in the output that were made with the same steps and detail: wall time of a
+    From materials in the output that were made with the same steps and most detail: wall time of a
     sample on one worker, and of the whole batch with its start if nothing else uses the processor;
     None before one is made. Entries whose files are no photographs by their first bytes fail.
     """
@@ -558,7 +558,8 @@ def predict(prepared: Prepared) -> dict[str, Any]:
     rounds = -(-todo // workers)
     wanted = (resolve(settings.capture).steps, settings.capture.most_detail)
     records = (work.read_record(file.parent) for file in sorted(out.glob(f"*/{work.FILE}")))
-    made = [one for one in records if one and (one.get("steps"), one.get("detail")) == wanted]
+    # A photograph may have less than the most detail asked for.
+    made = [one for one in records if one and (one.get("steps"), one.get("most_detail")) == wanted]
     each = sum(float(one["seconds"]) for one in made) / len(made) if made else None
     room = max((sum(one["files"].values()) for one in made), default=settings.outputs.room)
     rows = [

@@ -431,6 +431,7 @@ def _about(job: BatchJob, looked_at: Sequence[Inspection], result: CaptureResult
         "identity": job.identity,
         "photographs": [str(path) for path in job.photos],
         "detail": round(2.0 / result.material.texel_size),
+        "most_detail": job.detail,
         "verdict": {"rating": verdict.rating.value, "severity": round(verdict.severity, 3)},
         "error": result.errors,
         "tilt_degrees": [round(angle * 57.29577951, 3) for angle in tilt],

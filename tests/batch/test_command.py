@@ -56,7 +56,7 @@ def test_a_forecast_is_of_materials_made_with_the_same_steps_and_detail(shoot, t
     out = tmp_path / "out"
     for name, detail, seconds in (("a", 512, 20.0), ("b", 512, 40.0), ("c", 256, 1.0)):
         steps = PRESETS["standard"].decoder_steps
-        about = {"identity": name, "steps": steps, "detail": detail, "seconds": seconds}
+        about = {"identity": name, "steps": steps, "most_detail": detail, "seconds": seconds}
         with recorded(out / name, about):
             (out / name).mkdir(parents=True)
             (out / name / "maps.exr").write_bytes(bytes(1000))

@@ -255,15 +255,17 @@ def test_every_exception_of_a_worker_is_returned_as_a_failure(batch, monkeypatch
 
 
 @pytest.mark.capture
-def test_a_record_says_once_that_a_photograph_is_clipped(batch, shoot, tmp_path):
+def test_a_record_has_the_detail_asked_for_and_says_once_what_is_clipped(batch, shoot, tmp_path):
     """Not in verdict, report and check of the photograph, each in its own words."""
     y, x = np.mgrid[:96, :128] - np.array([[[48.0]], [[64.0]]])
     texture = 1.0 + 0.2 * np.random.default_rng(1).standard_normal((96, 128, 1))
     light = (0.2 + 9.0 * np.exp(-(y**2 + x**2) / 300.0))[..., None] * texture
     cv2.imwrite(str(shoot / "a.jpg"), np.uint8(np.clip(255.0 * light**0.45, 0, 255)).repeat(3, 2))
-    settings = BatchSettings.of({"detail": 128, "size": (64, 64), "preset": "instant"})
+    settings = BatchSettings.of({"detail": 256, "size": (64, 64), "preset": "instant"})
     _, workers, _ = batch(settings=settings)
     record = do_job(workers.jobs[0], lambda now: None)
+    # Forecasts go by the most detail that was asked for: a small photograph has less.
+    assert record["most_detail"] == 256
     clipped = [line for line in record["warnings"] if "stops darker" in line]
     assert len(clipped) == 1 and "photograph is clipped" in clipped[0]
     report = json.loads((tmp_path / "out" / "a" / "report.json").read_text())
