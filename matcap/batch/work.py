@@ -25,6 +25,7 @@ from matcap.errors import MatcapError
 from matcap.files.names import OnProgress, Progress, read_document
 from matcap.files.output import HIDDEN, Output, write_error
 from matcap.files.process import cores, free_bytes, keep_memory
+from matcap.files.threads import compute_alone
 from matcap.photo.calibrate import Calibration, calibrated
 
 if TYPE_CHECKING:
@@ -492,11 +493,9 @@ def settle_threads() -> None:
     Also keeps freed memory for the process's next capture.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    os.environ["OMP_NUM_THREADS"] = "1"  # of at_once, too
     import cv2
-    import torch
+    import torch  # noqa: F401
 
     keep_memory()
-
-    torch.set_num_threads(1)
+    compute_alone()
     cv2.setNumThreads(1)

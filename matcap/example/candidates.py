@@ -490,7 +490,7 @@ def _lengthened(sides: list[float], aspect: float, *, loose: bool) -> list[float
     """Sides of patches that are `aspect` times as long along x over y, of the same area.
 
     Fitted ones get no narrower than _NARROWEST, and larger: only neighbours avoid what each other
-    show, so that content would recur in sight of those two rows away.
+    show, so that content would recur within view of those two rows away.
     """
     factors = math.sqrt(aspect), 1.0 / math.sqrt(aspect)
     least = [0.0 if loose else min(side, _NARROWEST) for side in sides]

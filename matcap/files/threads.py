@@ -172,7 +172,7 @@ def single_threaded(workers: int) -> Iterator[ThreadPoolExecutor]:
 
 
 def compute_alone() -> None:
-    """Make this process, a worker beside others, compute on one core: PyTorch as at_once."""
+    """Make this process, one of several workers, compute on one core: PyTorch as at_once."""
     os.environ["OMP_NUM_THREADS"] = "1"
     torch = sys.modules.get("torch")
     if torch is not None:

@@ -337,7 +337,7 @@ _TABLE = (
     ),
     QualityCheck(
         "spots", "depth of the brightest spots over that of the darkest, re-rendered over "
-        "photographed, in the light or beside it", "times", (1.35, 1.6, 2.5),
+        "photographed, in the light or outside", "times", (1.35, 1.6, 2.5),
         "{what} over {other} are {more} times as strong as in the photograph",
         seen="specks or pits", factor=True,
     ),

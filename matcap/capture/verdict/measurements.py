@@ -104,7 +104,7 @@ class Measurements:
     """Number of photographs of the sample."""
     spots: float = 1.0
     """Depth of the brightest spots over that of the darkest, re-rendered over photographed, in the
-    light or beside it: above 1 specks, below 1 pits; 1 where clipped."""
+    light or outside: above 1 specks, below 1 pits; 1 where clipped."""
     patches: float = math.nan
     """Patchiness of the field lit from the sides over the exemplar's (patchiness)."""
     itself: Measurements | None = None
@@ -258,7 +258,7 @@ def uneven_spots(
     pictures: tuple[Picture, Picture], valid: TexelMask
 ) -> tuple[float, dict[str, Region]]:
     """Depth of the brightest spots over that of the darkest, re-rendered over photographed, where
-    it differs most, in the light or beside it; and the place of most of them.
+    it differs most, in the light or outside; and the place of most of them.
 
     Medians over tiles leave out what few texels show: white specks of a glint that are rendered
     everywhere, black pits. 1 and none where the picture is clipped.
