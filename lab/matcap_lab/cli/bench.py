@@ -214,34 +214,6 @@ def gloss(
 
 
 @app.command()
-def highlight(
-    photographs: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Real photographs; without a highlight they are skipped."),
-    ] = None,
-    simulated: Annotated[
-        int, typer.Option(min=0, help="Number of simulated photographs, of known offset and tilt.")
-    ] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulated photographs.")] = 0,
-    states_fov: Annotated[
-        bool,
-        typer.Option("--fov/--no-fov", help="State the field of view in simulated photographs."),
-    ] = True,
-    out: OutOption = Path("bench/highlight"),
-) -> None:
-    """Errors of the coarse fit's highlight, flash offset and tilt.
-
-    Compares the highlight's centre, width and contrast in photographs and in re-renderings of
-    their coarse fits, which are written side by side. Prints the table, and errors of offset and
-    tilt on simulated ones.
-    """
-    from matcap_lab.bench.reflectance import HIGHLIGHT, highlight_experiment
-
-    experiment = highlight_experiment(photographs or (), simulated, seed, out, has_fov=states_fov)
-    _print(experiment, out, HIGHLIGHT)
-
-
-@app.command()
 def repetition(
     materials: Annotated[
         list[str] | None,

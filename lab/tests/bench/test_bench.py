@@ -11,11 +11,10 @@ import torch
 from matcap.brdf.cook_torrance import METAL_F0
 from matcap.brdf.maps import MapSet
 from matcap.field.plane import Rectangle
-from matcap.flash.coarse.fit import fit_coarse
 from matcap.space.decoder import Decoder
 from matcap.space.random_field import Patch, noise_field
 from matcap.space.tuned import TunedDecoder
-from matcap_lab.bench import fields, floors, reflectance, synth
+from matcap_lab.bench import fields, floors, synth
 from matcap_lab.bench.fields import (
     SIZES,
     copies,
@@ -27,15 +26,7 @@ from matcap_lab.bench.fields import (
     repetition_experiment,
     seam_contrast,
 )
-from matcap_lab.bench.reflectance import (
-    PlainMaterial,
-    f0_errors,
-    gloss_experiment,
-    highlight_experiment,
-    kept,
-    placed,
-    simulated,
-)
+from matcap_lab.bench.reflectance import PlainMaterial, f0_errors, gloss_experiment
 from matcap_lab.bench.relight import (
     EVERYTHING,
     MEGAPIXEL,
@@ -68,11 +59,7 @@ def asked(monkeypatch):
             (lambda number, _outcome: {"NSD": number, "seconds": 1.0},),
         )
 
-    for module, name in (
-        (fields, "fields"),
-        (reflectance, "highlight"),
-        (floors, "nsd"),
-    ):
+    for module, name in ((fields, "fields"), (floors, "nsd")):
         monkeypatch.setattr(module, f"{name}_experiment", made)
     return calls
 
@@ -90,13 +77,10 @@ def test_the_table_is_printed_and_written(lab, asked, tmp_path):
     assert (again.out, again.err) == (said.out, "")
 
 
-def test_fields_and_highlights_are_of_what_is_named(lab, asked, tmp_path):
+def test_fields_are_of_what_is_named(lab, asked, tmp_path):
     assert lab("bench", "fields", "leather", "-o", tmp_path).code == 0
-    assert lab("bench", "highlight", "--simulated", 2, "-o", tmp_path).code == 0
-    (((subjects,), _), ((photographs, count, seed, out), options)) = asked
+    (((subjects,), _),) = asked
     assert [one.name for one in subjects] == ["leather"]
-    assert (photographs, count, seed, out) == ((), 2, 0, tmp_path)
-    assert options == {"has_fov": True}
     assert lab("bench", "fields", "nothing").code == 2
 
 
@@ -234,44 +218,7 @@ def test_colour_alone_shows_in_albedo_alone():
     assert found["seam albedo"] > 5.0 and 0.8 < found["seam slope"] < 1.25
 
 
-# The benches of highlights, gloss and metals: what is found, where it is known.
-
-
-@pytest.fixture(scope="module")
-def visible():
-    """A simulated photograph whose highlight is plain to see, and its fit."""
-    for make in simulated(12, 0).values():
-        photo, setup = make()
-        if placed((photo, setup), fit_coarse(photo))["visible"]:
-            return photo, setup, fit_coarse(photo)
-    raise AssertionError("no highlight is plain to see in any")
-
-
-def test_simulated_photographs_tell_errors_and_real_ones_highlights(visible):
-    photo, setup, fit = visible
-    of_simulated = placed((photo, setup), fit)
-    assert 0.0 < of_simulated["offset"] < 1.0 and 0.0 < of_simulated["tilt"] < 30.0
-    assert math.isnan(placed((photo, None), fit)["tilt"])
-    assert math.isnan(kept((photo, setup), fit)["width"])
-    of_real = kept((photo, None), fit)
-    assert of_real["apart"] < 0.2 and 0.3 < of_real["width"] < 3.0
-
-
-def test_a_highlight_that_is_not_rendered_is_lost(visible, monkeypatch):
-    photo, _, fit = visible
-    monkeypatch.setattr(reflectance, "rerendered", lambda fit, photo: 0.0 * photo.pixels + 0.2)
-    found = kept((photo, None), fit)
-    assert (found["kept"], found["width"], found["apart"]) == (0.0, 0.0, math.inf)
-
-
-def test_a_photograph_s_name_and_truth_follow_from_seed_and_number():
-    assert list(simulated(3, 5)) == list(simulated(4, 5))[:3]
-    few, more = ([make for make in simulated(n, 5).values()][1]() for n in (2, 3))
-    assert few[1] == more[1]
-
-
-def test_nothing_is_simulated_without_being_asked_for(tmp_path):
-    assert highlight_experiment((), 0, 0, tmp_path).subjects == {}
+# The benches of gloss and metals: what is found, where it is known.
 
 
 SATIN = PlainMaterial((0.3, 0.2, 0.15), 0.04, 0.2, 0.0)
