@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from matcap.cli.options import QuietOption, printer
-
-if TYPE_CHECKING:
-    from matcap_lab.train.step import TrainConfig
 
 app = typer.Typer(
     help="Train and measure the prior, a latent space of materials.", no_args_is_help=True
@@ -65,11 +62,12 @@ def train(
     """Train encoder and decoder on a pack; --resume continues an interrupted run."""
     from matcap.space.prior.store import load_prior
     from matcap_lab.train.corpus import Pack
+    from matcap_lab.train.training import read_config
     from matcap_lab.train.training import train as run
 
     run(
         Pack.load(pack),
-        _config(config),
+        read_config(config),
         out,
         resume=resume,
         prior=load_prior(begin) if begin is not None else None,
@@ -90,8 +88,9 @@ def finish(
     from matcap_lab.train.corpus import Pack
     from matcap_lab.train.finish import finish as run
     from matcap_lab.train.step import start
+    from matcap_lab.train.training import read_config
 
-    state = start(_config(config), "cpu")
+    state = start(read_config(config), "cpu")
     state.load(training)
     kept = state.average
     run(kept.encoder, kept.decoder, Pack.load(pack).training, {"steps": state.step}).save(out)
@@ -120,32 +119,6 @@ def align(
     branch = train_branch(materials, steps, start=begun, on_progress=printer(quiet=quiet))
     save_alignment(out, branch)
     typer.echo(report_alignment(branch))
-
-
-@app.command()
-def make(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="The prior; its card is written next to it.")
-    ],
-    folder: Annotated[
-        Path | None,
-        typer.Argument(metavar="[FOLDER]", help="Folder of photographs named MATERIAL_*.jpg."),
-    ] = None,
-    recipe: Annotated[Path | None, typer.Option(help="TOML; default: the included one.")] = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Make a prior of photographs: corpus, training, finishing, alignment branch and card.
-
-    Takes hours on one core. The same command resumes an earlier run from its files in the folder
-    of the prior's name.
-    """
-    from matcap.files.output import check_writable
-    from matcap.space.prior import SHIPPED
-    from matcap_lab.train.finish import make_prior
-
-    check_writable(out.parent, 200_000_000)
-    make_prior(folder, recipe or SHIPPED.parent / "make.toml", out, printer(quiet=quiet))
-    printer(quiet=quiet)(f"wrote {out}")
 
 
 @app.command()
@@ -225,9 +198,3 @@ def variety(
         load_prior(prior), Pack.load(pack), settings, out, command_line(), printer(quiet=quiet)
     )
     typer.echo(page)
-
-
-def _config(path: Path) -> TrainConfig:
-    from matcap_lab.train.training import read_config
-
-    return read_config(path)

@@ -43,36 +43,23 @@ from matcap_lab.train.trainer import RateSchedule, Reporting, Training, fit, mea
 _Table = TypeVar("_Table", TrainConfig, EncoderConfig, DecoderConfig)
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Contents of a TOML file.
-
-    Raises:
-        UsageError: no such file, or no TOML.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(
-            f"it cannot be read: this is not TOML ({error})", where=str(path)
-        ) from error
-
-
 def read_config(path: Path) -> TrainConfig:
     """TrainConfig of a TOML file; missing settings keep their defaults.
 
     Raises:
         UsageError: no such file, no TOML, an unknown name or a value of the wrong kind.
     """
-    return configured(read_toml(path), str(path))
-
-
-def configured(stated: dict[str, Any], path: str) -> TrainConfig:
-    """TrainConfig of the TOML contents `stated`; `path` is for messages. See read_config."""
+    try:
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"it cannot be read ({error.strerror})", where=str(path)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(
+            f"it cannot be read: this is not TOML ({error})", where=str(path)
+        ) from error
     encoder = _filled(EncoderConfig(), stated.pop("encoder", {}), f"{path}, encoder")
     decoder = _filled(DecoderConfig(), stated.pop("decoder", {}), f"{path}, decoder")
-    config = _filled(TrainConfig(), stated, path)
+    config = _filled(TrainConfig(), stated, str(path))
     if not fits(config.window):
         raise UsageError.at(
             path, f"the window {config.window} is no multiple of 16 from 64 on", "give 96"

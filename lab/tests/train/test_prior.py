@@ -11,18 +11,18 @@ import torch
 from packs import jpeg
 from small import SMALL
 
-from matcap.errors import MatcapError, UsageError
-from matcap.flash.alignment import load_alignment
+from matcap.errors import MatcapError
+from matcap.flash.alignment import load_alignment, save_alignment
 from matcap.space.prior import SHIPPED
 from matcap.space.prior.store import base_of, load_prior
 from matcap.space.tuning.finetune import Tuned
 from matcap_lab.experiment.runner import Configuration
 from matcap_lab.simulate.kinds import RandomKind
 from matcap_lab.train import evaluate
-from matcap_lab.train import finish as recipe_room
+from matcap_lab.train.alignment import train_branch
 from matcap_lab.train.corpus import Pack, build, held_out, material_of, simulate
 from matcap_lab.train.evaluate import SIZE, Made, capture, compared, photographed
-from matcap_lab.train.finish import codes_of, finish, make_prior, standardise, with_anchors
+from matcap_lab.train.finish import codes_of, finish, standardise, with_anchors
 from matcap_lab.train.step import fields
 from matcap_lab.train.training import read_config
 
@@ -98,7 +98,7 @@ def test_a_simulated_photograph_knows_its_tilt():
 
 # A folder of photographs to a prior, end to end, and standardised codes.
 
-RECIPE = """
+CONFIG = """
 steps = 2
 materials = 1
 places = 1
@@ -106,59 +106,34 @@ window = 64
 report_every = 2
 encoder = { width = 64 }
 decoder = { noise_channels = 4, widths = [8, 8, 8, 8, 8], convolutions = [1, 1] }
-
-[corpus]
-simulated = 1
-
-[alignment]
-materials = 1
-steps = 1
-fused = 1
 """
 
 
-@pytest.fixture
-def recipe(tmp_path):
-    path = tmp_path / "recipe.toml"
-    path.write_text(RECIPE)
-    return path
-
-
-def test_it_goes_from_photographs_to_a_prior_and_is_not_done_twice(tmp_path, recipe, monkeypatch):
-    photographs = tmp_path / "photographs"
+def test_commands_go_from_photographs_to_a_prior(lab, tmp_path, monkeypatch):
+    photographs, config = tmp_path / "photographs", tmp_path / "train.toml"
     photographs.mkdir()
+    config.write_text(CONFIG)
     monkeypatch.setattr("matcap_lab.train.corpus.HELD_OUT", 2)  # twelve take half a minute
-    monkeypatch.setattr("matcap_lab.train.alignment._STEPS", 60)  # three thousand take five seconds
     for index in range(3):
         (photographs / f"m{index}_a.jpg").write_bytes(jpeg(index))
-    out = tmp_path / "mine.safetensors"
-    make_prior(photographs, recipe, out)
-    assert load_prior(out).about["steps"] == 2
-    assert load_alignment(out.with_suffix("") / "alignment.safetensors") is not None
-    card = out.with_suffix(".md").read_text()
-    assert "1 photographs and 1 simulated ones; 2 held out" in card and "steps = 2" in card
-    bits = out.read_bytes()
-    for done in ("build", "train_branch"):
-        monkeypatch.setattr(recipe_room, done, None)
-    make_prior(photographs, recipe, out)
-    assert out.read_bytes() == bits
+    pack, run, out = tmp_path / "corpus.pack", tmp_path / "run", tmp_path / "mine.safetensors"
+    packed = lab("prior", "corpus", photographs, "--simulated", 1, "-o", pack)
+    assert packed.code == 0 and "4 photographs" in packed.err
+    trained = ("prior", "train", pack, "--config", config, "--out", run)
+    assert lab(*trained).code == lab(*trained, "--resume").code == 0
+    finished = ("prior", "finish", pack, "--config", config, "--training", run, "-o", out)
+    assert lab(*finished).code == 0 and load_prior(out).about["steps"] == 2
 
 
-@pytest.mark.parametrize(
-    ("line", "why"),
-    [("[corpus]\nfaked = 3", "'faked'"), ("[alignment]\nsteps = -1", "'steps'"), ("x = ", "read")],
-)
-def test_a_wrong_recipe_is_told(tmp_path, line, why):
-    path = tmp_path / "recipe.toml"
-    path.write_text(line)
-    with pytest.raises(UsageError, match=why):
-        make_prior(None, path, tmp_path / "prior.safetensors")
+def test_the_branch_is_trained_with_its_fusion(tmp_path, monkeypatch):
+    monkeypatch.setattr("matcap_lab.train.alignment._STEPS", 60)  # three thousand take five seconds
+    path = tmp_path / "alignment.safetensors"
+    save_alignment(path, train_branch(1, 1, fused=1))
+    assert load_alignment(path) is not None
 
 
-def test_the_recipe_that_comes_along_is_one(tmp_path):
-    text = (SHIPPED.parent / "make.toml").read_text()
-    (tmp_path / "training.toml").write_text(text[: text.index("[corpus]")])
-    assert read_config(tmp_path / "training.toml").steps == 17200
+def test_the_configuration_that_comes_along_is_one():
+    assert read_config(SHIPPED.parent / "train.toml").steps == 7600
 
 
 def test_standardising_changes_codes_and_no_picture(prior, pack):
