@@ -30,6 +30,7 @@ from matcap_lab.bench.floors import true_exemplar
 from matcap_lab.experiment.results import Value
 from matcap_lab.experiment.runner import Configuration, Experiment
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap_lab.measures.nsd import SqueezeNetStyle
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen
 
 FIELDS = (
@@ -80,7 +81,7 @@ def fields_experiment(
 ) -> Experiment[TrueExample, Samples]:
     """Exemplar, field and periodic tile, from true maps of each subject."""
     settings = evaluation or EvaluationSettings()
-    style = settings.squeezenet
+    style = SqueezeNetStyle()
 
     def prepare(subject: Specimen) -> TrueExample:
         maps = subject.realise(*_SIZE, 2.0 / _SIZE[0])

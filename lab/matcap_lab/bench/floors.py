@@ -39,6 +39,7 @@ from matcap_lab.measures.evaluator import (
     map_errors,
     mirrored_scene,
 )
+from matcap_lab.measures.nsd import SqueezeNetStyle
 from matcap_lab.simulate.hand_held import (
     Hand,
     Room,
@@ -92,7 +93,7 @@ def nsd_experiment(
     evaluation: EvaluationSettings,
 ) -> Experiment[CapturedSubject, CapturedMaps]:
     """Photograph and capture each subject once; evaluate photograph, exemplar and field."""
-    style = evaluation.squeezenet
+    style = SqueezeNetStyle()
 
     def prepare(subject: Specimen) -> CapturedSubject:
         path, shot = photograph(subject, evaluation.camera, out, ev=settings.ev, jpeg=settings.jpeg)
@@ -222,7 +223,7 @@ def several_experiment(
     hand = replace(
         ambient.hand, room=Room(ambient.room, uneven=0.35, hidden=True) if ambient.room else None
     )
-    style, phone = evaluation.squeezenet, evaluation.camera
+    style, phone = SqueezeNetStyle(), evaluation.camera
 
     def prepare(subject: Specimen) -> TakenSubject:
         realise = subject.realise

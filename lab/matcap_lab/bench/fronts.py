@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from torch import Tensor
@@ -35,6 +34,7 @@ from matcap_lab.experiment.page import Presentation
 from matcap_lab.experiment.results import Value, read
 from matcap_lab.experiment.runner import Configuration, Experiment, choose
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
+from matcap_lab.measures.nsd import SqueezeNetStyle
 from matcap_lab.measures.style import Patches, RandomFilters, Style
 from matcap_lab.simulate.hand_held import PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera
@@ -77,27 +77,22 @@ class Way:
     """Width of the photographs."""
 
 
-def _ways() -> dict[str, Way]:
-    ways: dict[str, Way] = {}
-    options: tuple[str, ...]
-    for detail in (256, 512, 1024):
-        ways[f"{detail} texels"] = Way(
-            "one photograph", ("--generator", "example", "--detail", f"{detail}")
+_EXEMPLAR, _DECODER = ("--generator", "example", "--detail"), ("--generator", "decoder", "--steps")
+WAYS: Mapping[str, Way] = {
+    **{f"{n} texels": Way("one photograph", (*_EXEMPLAR, f"{n}")) for n in (256, 512, 1024)},
+    **{
+        f"{n} texels, {count} photographs": Way(
+            "several", ("--detail", f"{n}", "--together"), count
         )
-    for detail in (512, 1024):
-        for count in (2, 3, 5, 9):
-            options = ("--detail", f"{detail}", "--together")
-            ways[f"{detail} texels, {count} photographs"] = Way("several", options, count)
-    for steps in (0, 32, 112, 160):
-        options = ("--generator", "decoder", "--steps", f"{steps}")
-        ways[f"decoder, {steps} steps"] = Way("decoder", options)
-    for detail in (512, 1024, 2048, 4096):
-        options = ("--generator", "example", "--detail", f"{detail}")
-        ways[f"12 megapixels, {detail} texels"] = Way("detail", options, pixels=_LARGE)
-    return ways
-
-
-WAYS: Mapping[str, Way] = MappingProxyType(_ways())
+        for n in (512, 1024)
+        for count in (2, 3, 5, 9)
+    },
+    **{f"decoder, {n} steps": Way("decoder", (*_DECODER, f"{n}")) for n in (0, 32, 112, 160)},
+    **{
+        f"12 megapixels, {n} texels": Way("detail", (*_EXEMPLAR, f"{n}"), pixels=_LARGE)
+        for n in (512, 1024, 2048, 4096)
+    },
+}
 # The default leaves out configurations that need large photographs.
 USUAL = tuple(name for name, way in WAYS.items() if way.group != "detail")
 
@@ -273,7 +268,7 @@ def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) ->
     paths, flash = taken.take(1 if large else count, folder)
     settings = replace(bench.settings, camera=taken.phone)
     styles: dict[str, Style] = {
-        "squeezenet": settings.squeezenet, "patches": Patches(), "filters": RandomFilters()
+        "squeezenet": SqueezeNetStyle(), "patches": Patches(), "filters": RandomFilters()
     }  # fmt: skip
     times = _FINEST if large else _FINER
     finer = replace(
@@ -350,13 +345,9 @@ def _reported(report: Path, kept: Path) -> str:
 
 
 # Tables that `matcap-lab bench report` presents.
-PRESENTATIONS: Mapping[str, Presentation] = MappingProxyType(
-    {
-        "fronts": PRESENTATION,
-        "relight": relight.PLAN,
-        "tolerances": relight.TOLERANCE,
-    }
-)
+PRESENTATIONS: Mapping[str, Presentation] = {
+    "fronts": PRESENTATION, "relight": relight.PLAN, "tolerances": relight.TOLERANCE
+}  # fmt: skip
 
 
 def presentation_of(table: Path) -> Presentation:

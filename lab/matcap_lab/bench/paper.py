@@ -49,7 +49,7 @@ from matcap.statistics.compare import FilterBank, FilterBankConfig, Weights, gra
 from matcap_lab.experiment.results import Mean, Trial, Value, columns_of, markdown, means, shown
 from matcap_lab.experiment.runner import Configuration, Experiment
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
-from matcap_lab.measures.nsd import Vgg16Style, style_distance
+from matcap_lab.measures.nsd import SqueezeNetStyle, Vgg16Style, style_distance
 from matcap_lab.measures.style import (
     RandomFilters,
     Style,
@@ -112,7 +112,7 @@ def paper_experiments(
     Raises:
         MatcapError: the weights of VGG-16 cannot be read.
     """
-    styles: dict[str, Style] = {"style": RandomFilters(), "NSD": EVALUATION.squeezenet}
+    styles: dict[str, Style] = {"style": RandomFilters(), "NSD": SqueezeNetStyle()}
     papers = {PAPER_FILTERS: random_features()}
     if weights is not None:
         styles["VGG-16"] = vgg16 = Vgg16Style(weights)

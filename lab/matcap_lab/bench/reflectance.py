@@ -91,47 +91,33 @@ def materials(slopes: Sequence[float]) -> Iterator[PlainMaterial]:
 def gloss_experiment(
     chosen: Iterator[PlainMaterial],
     evs: Sequence[int],
-    *,
-    exemplar: bool = False,
-    camera: PhoneCamera | None = None,
+    camera: PhoneCamera = PhoneCamera(),  # noqa: B008
 ) -> Experiment[PlainShot, Mapping[str, Value]]:
-    """Photograph materials at exposure offsets (EV) and estimate their parameters.
-
-    With `exemplar` the maps of a capture are measured, else the coarse fit alone.
-    """
-    phone = camera or PhoneCamera()
+    """Photograph materials at exposure offsets (EV) and fit them coarsely."""
 
     def prepare(material: PlainMaterial) -> PlainShot:
-        return material, take(material.realise, phone, SETUP)
+        return material, take(material.realise, camera, SETUP)
 
     return Experiment(
         "gloss",
         {material.name: partial(prepare, material) for material in chosen},
-        {f"{ev:+d} EV": Configuration(partial(_estimates, ev, exemplar)) for ev in evs},
-        settings=(exemplar, phone),
+        {f"{ev:+d} EV": Configuration(partial(_estimates, ev)) for ev in evs},
+        settings=camera,
     )
 
 
-def _estimates(ev: int, exemplar: bool, subject: PlainShot, _seed: int) -> Mapping[str, Value]:
+def _estimates(ev: int, subject: PlainShot, _seed: int) -> Mapping[str, Value]:
     """Mean estimates of one photograph, `ev` EV above the automatic exposure."""
     (material, shot), gain = subject, 2.0**ev
     setup = shot.setup.with_intensity((gain * shot.setup.intensity[0],) * 3)
     brighter = replace(shot, linear=gain * shot.linear, setup=setup)
-    photo = as_photo(brighter, 1, "plain")
-    if exemplar:
-        estimate = capture_photo(photo, CaptureSettings("instant", detail=512)).estimate
-        assert estimate is not None
-        maps = estimate.exemplar
-        roughness, specular = float(maps.roughness.mean()), float(maps.specular.mean())
-    else:
-        fit = fit_coarse(photo)
-        roughness, specular = fit.roughness, fit.specular
-    off = roughness - material.roughness
+    fit = fit_coarse(as_photo(brighter, 1, "plain"))
+    off = fit.roughness - material.roughness
     return {
-        "roughness": roughness,
+        "roughness": fit.roughness,
         "off": off,
         "near": float(abs(off) <= WITHIN),
-        "F0": specular,
+        "F0": fit.specular,
         "clipped": float((brighter.linear.max(-1) >= 1.0).mean()),
     }
 

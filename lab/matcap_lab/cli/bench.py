@@ -31,7 +31,7 @@ MaterialArgument = Annotated[
     ),
 ]
 OnlyOption = Annotated[
-    list[str] | None, typer.Option(help="Measure only what is named; repeatable.")
+    list[str] | None, typer.Option(help="Measure only what is named; may be repeated.")
 ]
 SetsOption = Annotated[
     Path | None,
@@ -41,7 +41,6 @@ OutOption = Annotated[
     Path, typer.Option("--out", "-o", help="Folder for the table and the captures measured.")
 ]
 
-_FRONTS = Path("bench/fronts")
 # Periods, texels, and angles, degrees, of the gratings of `bench fields --phases`.
 _LATTICES = (
     (2.5, 0.0),
@@ -99,9 +98,6 @@ def floors(
             "count is also captured with --union.",
         ),
     ] = False,
-    weights: Annotated[
-        Path | None, typer.Option(help="SqueezeNet 1.1 of ncnn, instead of the included weights.")
-    ] = None,
 ) -> None:
     """Style distance of captures to the truth, by a measure to which nothing is tuned.
 
@@ -111,13 +107,12 @@ def floors(
     """
     from matcap_lab.bench import floors as of
     from matcap_lab.measures.evaluator import EvaluationSettings
-    from matcap_lab.measures.nsd import WEIGHTS
     from matcap_lab.simulate.hand_held import Hand, downward
     from matcap_lab.simulate.photograph import PhoneCamera
     from matcap_lab.simulate.specimen import subjects
 
     camera = PhoneCamera(width=pixels, height=3 * pixels // 8 * 2)
-    evaluation = EvaluationSettings(judged, judged // 2, camera, weights=weights or WEIGHTS)
+    evaluation = EvaluationSettings(judged, judged // 2, camera)
     settings = of.PhotographSettings(
         CaptureSettings(**{"generator": "example", **given}), stops, jpeg
     )
@@ -136,11 +131,6 @@ def metals(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     out: OutOption = Path("bench/metals"),
-    detail: Annotated[int, typer.Option(min=128, max=4096, help="--detail of captures.")] = 512,
-    preset: Annotated[str, typer.Option(help="--preset of captures.")] = "instant",
-    pixels: Annotated[
-        int, typer.Option(min=256, max=8192, help="Pixels along the photographs' long side.")
-    ] = 1600,
     known: Annotated[
         bool,
         typer.Option("--known-flash", help="Give captures the flash's intensity, as a card does."),
@@ -157,9 +147,8 @@ def metals(
     from matcap_lab.simulate.specimen import subjects
 
     chosen = subjects(material or tuple(SHEETS), sets)
-    camera = PhoneCamera(width=pixels, height=pixels // 8 * 6)
-    settings = CaptureSettings(preset, detail=detail, generator="example")
-    _print(metals_experiment(chosen, out, settings, camera, known=known), out, METALS)
+    settings = CaptureSettings("instant", detail=512, generator="example")
+    _print(metals_experiment(chosen, out, settings, PhoneCamera(), known=known), out, METALS)
 
 
 @app.command()
@@ -198,9 +187,6 @@ def gloss(
         list[int] | None,
         typer.Option(min=-3, max=6, help="Exposure offset (EV); may be repeated; default 0 to 3."),
     ] = None,
-    piece: Annotated[
-        bool, typer.Option("--piece", help="Measure the exemplar, not only the coarse fit.")
-    ] = False,
     out: OutOption = Path("bench/gloss"),
 ) -> None:
     """Estimates of roughness and F0 of plain materials, polished to matte, over exposures.
@@ -210,7 +196,7 @@ def gloss(
     from matcap_lab.bench.reflectance import GLOSS, gloss_experiment, materials
 
     chosen = materials(slope or (0.0,))
-    _print(gloss_experiment(chosen, stops or (0, 1, 2, 3), exemplar=piece), out, GLOSS)
+    _print(gloss_experiment(chosen, stops or (0, 1, 2, 3)), out, GLOSS)
 
 
 @app.command()
@@ -237,19 +223,13 @@ def repetition(
 
 @app.command()
 def fronts(
-    out: OutOption = _FRONTS,
+    out: OutOption = Path("bench/fronts"),
     sets: Annotated[
         Path | None,
         typer.Option(help="Folder of artists' map sets; six held-out ones are used."),
     ] = None,
-    point: Annotated[
-        list[str] | None,
-        typer.Option(help="Measure only this point of --list; may be repeated."),
-    ] = None,
-    material: Annotated[
-        list[str] | None,
-        typer.Option(help="Measure only this material, kind or set; may be repeated."),
-    ] = None,
+    point: OnlyOption = None,
+    material: OnlyOption = None,
     seed: Annotated[
         list[int] | None, typer.Option(help="Seed of captures; may be repeated; default 0.")
     ] = None,
@@ -288,9 +268,6 @@ def relight(
         typer.Option("--tolerances", help="Measure time against accuracy, by tolerance."),
     ] = False,
     out: OutOption = Path("bench/relight"),
-    width: Annotated[
-        int, typer.Option(min=16, max=4096, help="Width of the pictures of --tolerances.")
-    ] = 256,
 ) -> None:
     """Time of relighting, and time saved by leaving effects out.
 
@@ -302,7 +279,7 @@ def relight(
     from matcap_lab.bench import relight as bench
 
     if tolerances:
-        experiment = bench.tolerance_experiment(scenes or (), width=width)
+        experiment = bench.tolerance_experiment(scenes or ())
         about = bench.TOLERANCE
         rows = _print(experiment, out, about.about, json=json)
         _draw(rows, out / "tolerances.png", about.title, about.axes, about.least)

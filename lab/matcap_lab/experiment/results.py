@@ -1,7 +1,6 @@
 """Results of experiments: a CSV with a row a trial, its table, means and Pareto front.
 
-A row is appended as soon as it is measured, so that an experiment can be stopped and resumed. A row
-with a column that the file lacks makes the whole file be written anew.
+A row is added as soon as it is measured, so that an experiment can be stopped and resumed.
 """
 
 from __future__ import annotations
@@ -107,19 +106,15 @@ def read(path: Path) -> list[Trial]:
 
 
 def append(path: Path, row: Trial) -> None:
-    """Append a row, with the header if the file is new; replaces a last line that is incomplete."""
-    before = path.read_bytes() if path.exists() else b""
-    kept = before[: before.rfind(b"\n") + 1]
-    names = next(csv.reader(kept.decode().splitlines()), [])
-    if any(name not in names for name in row.values):
-        _write(path, [*read(path), row])
-        return
-    with path.open("r+b") as file:
-        file.truncate(len(kept))
-        file.seek(len(kept))
-        file.write(_text([row], names).encode())
-        file.flush()
-        os.fsync(file.fileno())
+    """Add a row: the table is written anew, whole or not at all."""
+    rows = [*read(path), row]
+    names = [*_KEYS, *columns_of(rows)]
+    with Output.file(path) as file, file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(names)
+        for each in rows:
+            cells = [getattr(each, n) if n in _KEYS else each.values.get(n, "") for n in names]
+            writer.writerow(_written(cell) for cell in cells)
 
 
 def columns_of(rows: Iterable[Trial]) -> list[str]:
@@ -283,24 +278,6 @@ def _value(text: str) -> Value:
         return float(text or "nan")
     except ValueError:
         return text
-
-
-def _write(path: Path, rows: Sequence[Trial]) -> None:
-    names = [*_KEYS, *columns_of(rows)]
-    with Output.file(path) as file:
-        heading = _text([], names, heading=True)
-        file.write_text(heading + _text(rows, names), encoding="utf-8", newline="")
-
-
-def _text(rows: Iterable[Trial], names: Sequence[str], *, heading: bool = False) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    if heading:
-        writer.writerow(names)
-    for row in rows:
-        cells = [getattr(row, n) if n in _KEYS else row.values.get(n, math.nan) for n in names]
-        writer.writerow(_written(cell) for cell in cells)
-    return stream.getvalue()
 
 
 def _written(value: object) -> str:

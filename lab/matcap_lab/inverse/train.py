@@ -100,10 +100,13 @@ class WantedOutputs:
     """(B, 3, 1, 1) positions of a light with its mirror point in view, and a far one."""
 
 
-def wanted(samples: Sequence[Sample], rng: np.random.Generator) -> WantedOutputs:
-    """Targets of samples of one size, and randomly drawn lights."""
-    points = samples[0].points
+def wanted(
+    samples: Sequence[Sample], rng: np.random.Generator, device: str = "cpu"
+) -> WantedOutputs:
+    """Targets of samples of one size, and randomly drawn lights, on a device."""
     lights = [_lights(s, rng) for s in samples]
+    samples = [s.to(device) for s in samples]
+    points = samples[0].points
     places = [(0.0, 0.0, s.uniform.setup.distance) for s in samples]
 
     def column(vectors: Sequence[Sequence[float]]) -> Tensor:
@@ -403,10 +406,9 @@ def step_loss(
     compare: Compare = compared,
 ) -> tuple[Tensor, Mapping[str, Tensor]]:
     """Loss of a step, and its parts; `compare` is `compared`, or its compiled form."""
-    device = settings.device
-    inputs = torch.stack([x for x, _ in batch]).to(device)
+    inputs = torch.stack([x for x, _ in batch]).to(settings.device)
     rng = np.random.default_rng([step, 0, 5])
-    truth = wanted([sample.to(device) for _, sample in batch], rng)
+    truth = wanted([sample for _, sample in batch], rng, settings.device)
     outputs = model(inputs.contiguous(memory_format=torch.channels_last))
     # Statistics take as long as the rest: every _STYLED steps, with as many times their weight.
     parts = loss_parts(outputs, truth, style=step % _STYLED == 0, compare=compare)

@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,7 +25,7 @@ from matcap.errors import MatcapError
 from matcap.files.color import LUMINANCE
 from matcap.flash.geometry import FlashSetup, plane_points
 from matcap.flash.light import shade
-from matcap_lab.measures.nsd import WEIGHTS, SqueezeNet, SqueezeNetStyle, StyleRatio
+from matcap_lab.measures.nsd import StyleRatio
 from matcap_lab.measures.style import Style, srgb_encode_tensor
 from matcap_lab.simulate.photograph import PhoneCamera, in_strips
 from matcap_lab.simulate.specimen import Specimen
@@ -50,22 +49,11 @@ class EvaluationSettings:
     truths: int = 3
     """Number of true samples, at least 2."""
 
-    first: int | None = None
-    """Seed of the first; by default the one after the photographed sample's."""
-
     finer: int = 4
     """True samples are shaded at this many texels a pixel, along each side, and averaged."""
 
     every: int = 2
     """Step through the bench's ten lights: 2 uses every second one."""
-
-    weights: Path = WEIGHTS
-    """SqueezeNet's weights file (ncnn)."""
-
-    @property
-    def squeezenet(self) -> SqueezeNetStyle:
-        """The statistics of the normalised style distance."""
-        return SqueezeNetStyle(SqueezeNet.load(self.weights))
 
     @property
     def width(self) -> float:
@@ -92,8 +80,7 @@ class Evaluator:
         self.flash, self.settings, self.styles = flash, settings, dict(styles)
         finest = settings.detail * settings.finer
         texel, pixels = 2.0 / finest, settings.size * settings.finer
-        first = subject.seed + 1 if settings.first is None else settings.first
-        seeds = range(first, first + settings.truths)
+        seeds = range(subject.seed + 1, subject.seed + 1 + settings.truths)
         self.truths = [subject.pieces(seed)(pixels, pixels, texel) for seed in seeds]
         self._blur = settings.camera.blur * finest / settings.camera.width
         self._distances: dict[tuple[str, BenchScene], StyleRatio] = {}

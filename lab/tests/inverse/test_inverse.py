@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_iter, tree_map
 
 from matcap.brdf.maps import HEIGHT, normals_from_height
 from matcap.capture.exemplar.network.network import (
@@ -62,7 +57,6 @@ from matcap_lab.inverse.train import (
     wanted,
 )
 from matcap_lab.simulate.named import random_material
-from matcap_lab.train.trainer import Training
 
 SIDE = 64
 NAMES = tuple(f"material{i}" for i in range(12))
@@ -181,16 +175,6 @@ def test_metal_is_drawn_in_colours_and_what_is_none_stays_grey() -> None:
     assert np.array_equal(plain, 0.08 * f0)
 
 
-def test_a_real_sample_is_a_function_of_its_number(packed: Path) -> None:
-    first, again, other = (
-        draw_sample(number, 64, 64, sets=sets(packed), real=1.0) for number in (5, 5, 6)
-    )
-    assert torch.equal(first.linear, again.linear)
-    assert torch.equal(first.truth.stacked(), again.truth.stacked())
-    assert first.uniform == again.uniform
-    assert not torch.equal(first.linear, other.linear)
-
-
 def test_other_files_are_no_packed_maps(tmp_path: Path) -> None:
     (tmp_path / "maps.pack").write_bytes(b"nothing of the kind")
     with pytest.raises(MatcapError, match="pack of maps cannot be read"):
@@ -209,11 +193,15 @@ def legs(folder: Path, steps: int, config: InverseConfig = TINY, begin: Path | N
     return train(folder, replace(SMALL, steps=steps), config, lambda _line: None, begin)
 
 
-def test_a_sample_is_a_function_of_its_number() -> None:
-    first, again, other = (draw_sample(n, 64, 64) for n in (5, 5, 6))
+@pytest.mark.parametrize("real", [0.0, 1.0])
+def test_a_sample_is_a_function_of_its_number(packed: Path, real: float) -> None:
+    first, again, other = (
+        draw_sample(number, 64, 64, sets=sets(packed), real=real) for number in (5, 5, 6)
+    )
     assert torch.equal(first.linear, again.linear)
-    assert not torch.equal(first.linear, other.linear)
+    assert torch.equal(first.truth.stacked(), again.truth.stacked())
     assert first.uniform == again.uniform
+    assert not torch.equal(first.linear, other.linear)
 
 
 def test_samples_are_finite_and_within_range() -> None:
@@ -362,107 +350,21 @@ def test_doubt_that_is_right_is_calibrated() -> None:
 
 def test_a_network_is_judged(sample: Sample) -> None:
     torch.manual_seed(0)
-    network = Inverse(InverseConfig(widths=(8, 8, 8, 8, 8), context=8)).eval()
+    network = Inverse(TINY).eval()
     judged = evaluate(network, [sample])
     assert sum(name.startswith("doubt of") for name in judged) == ERRORS
     assert all(np.isfinite(value) for value in judged.values())
     assert "| correlation |" in table({"a network": judged})
 
 
-# Training takes place on the device it was asked to.
-#
-# Without a second device here, one is played: tensors of `Elsewhere` say that they are on "meta"
-# but carry numbers, and meeting a tensor of the CPU is an error, as it is between a CPU and a GPU.
-
-AWAY = "meta"
-SMALLEST = InverseConfig(widths=(8, 8, 8, 8, 8), context=8)
-
-
-def computed(
-    _: Any,
-    func: Callable[..., Any],
-    types: Any,
-    args: tuple[Any, ...] = (),
-    kwargs: dict[str, Any] | None = None,
-) -> Any:
-    """An operation on the numbers; its results are where its tensors were, or where it was told."""
-    kwargs = kwargs or {}
-    tensors = [t for t in tree_iter((args, kwargs)) if isinstance(t, Tensor)]
-    away = any(isinstance(t, Elsewhere) for t in tensors)
-    if away and func is not torch.ops.aten.copy_.default:  # which may move
-        here = [t for t in tensors if not isinstance(t, Elsewhere) and t.dim() > 0]
-        if here:
-            raise RuntimeError(f"{func} meets a tensor of the CPU, of shape {tuple(here[0].shape)}")
-    if "device" in kwargs and kwargs["device"] is not None:
-        away = torch.device(kwargs["device"]).type == AWAY
-        kwargs = {**kwargs, "device": "cpu"}
-
-    def bare(value: Any) -> Any:
-        return value.numbers if isinstance(value, Elsewhere) else value
-
-    results = func(*tree_map(bare, args), **tree_map(bare, kwargs))
-    changed = {id(bare(t)): t for t in tensors}
-
-    def put(value: Any) -> Any:
-        if not isinstance(value, Tensor):
-            return value
-        if id(value) in changed:  # done in place
-            return changed[id(value)]
-        return Elsewhere(value) if away else value
-
-    return tree_map(put, results)
-
-
-class Elsewhere(Tensor):
-    """A tensor of another device."""
-
-    numbers: Tensor
-    __torch_dispatch__ = classmethod(computed)
-
-    @staticmethod
-    def __new__(cls, numbers: Tensor) -> Elsewhere:
-        made: Elsewhere = torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]
-            cls,
-            numbers.shape,
-            strides=numbers.stride(),
-            dtype=numbers.dtype,
-            device=AWAY,
-            requires_grad=numbers.requires_grad,
-        )
-        made.numbers = numbers.detach()
-        return made
-
-
-class Played(TorchDispatchMode):
-    """Also sees operations whose tensors all are on the CPU: a move is one."""
-
-    __torch_dispatch__ = computed
-
-
-def test_the_played_device_tells_strangers_apart() -> None:
-    with Played():
-        there = torch.ones(2).to(AWAY)
-        assert there.device.type == AWAY
-        assert float((there * 2.0).sum()) == 4.0
-        with pytest.raises(RuntimeError, match="meets a tensor of the CPU"):
-            there + torch.ones(2)
-
-
 def test_a_step_stays_on_its_device() -> None:
-    sample = draw_sample(2, 64, 64)
-    settings = TrainSettings()
-    expected = stepped(start(SMALLEST, settings), sample.inputs, sample, settings)
-    with Played():
-        away = TrainSettings(device=AWAY)
-        training = start(SMALLEST, away)
-        found = stepped(training, sample.inputs, sample, away)
-    assert found == pytest.approx(expected, rel=1e-3)
-    assert all(p.device.type == AWAY for p in training.model.parameters())
-
-
-def stepped(
-    training: Training[Inverse], inputs: Tensor, sample: Sample, settings: TrainSettings
-) -> dict[str, float]:
-    loss, parts = step_loss(training.model, 0, [(inputs, sample)], settings)
-    training.update(loss, 1.0)
-    return {name: float(part.detach()) for name, part in parts.items()}
+    """A device without memory stands for CUDA: it refuses operands that lie elsewhere."""
+    sample, settings = draw_sample(2, 64, 64), TrainSettings(device="meta")
+    training = start(TINY, settings)
+    loss, parts = step_loss(training.model, 0, [(sample.inputs, sample)], settings)
+    parameters = list(training.model.parameters())
+    gradients = torch.autograd.grad(loss, parameters)
+    tensors = (loss, *parts.values(), *gradients, *training.average.parameters())
+    assert {tensor.device.type for tensor in tensors} == {"meta"}
+    with pytest.raises(RuntimeError, match="device"):
+        loss + torch.ones(2)

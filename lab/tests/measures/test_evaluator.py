@@ -89,7 +89,7 @@ def test_a_true_piece_in_finer_detail_looks_as_truths_do(sharp):
 
 def test_an_evaluation_stays_what_was_measured_by():
     """By the code of 2026-11-25: a sharp sample in the photograph's detail, and it flat."""
-    evaluator = Evaluator(PLASTER, FLASH, SMALL, {"NSD": SMALL.squeezenet})
+    evaluator = Evaluator(PLASTER, FLASH, SMALL, {"NSD": SqueezeNetStyle()})
     true = PLASTER.pieces(77)(256, 256, 2.0 / 512)
     assert evaluator.style_ratio_of(true, FLASH.intensity) == pytest.approx(2.7971, rel=1e-3)
     flat = replace(true, height=0.0 * true.height)
@@ -120,7 +120,7 @@ def test_numbers_tell_tilt_albedo_and_roughness():
 
 # Small and coarse, for speed: what is tested is order, not figures.
 CAMERA = PhoneCamera(width=512, height=384, supersampling=1)
-SETTINGS = EvaluationSettings(512, 192, CAMERA, finer=2, every=1, first=1001)
+SETTINGS = EvaluationSettings(512, 192, CAMERA, finer=2, every=1)
 
 
 @pytest.fixture(scope="module")

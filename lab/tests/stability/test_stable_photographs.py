@@ -77,12 +77,6 @@ def test_whatever_looks_at_a_photograph_gives_finite_numbers(name):
     assert len(find_lattice(colour, plane.valid.repeat(4, 3)[:256, :256]).waves) <= 2
 
 
-@pytest.fixture(scope="module")
-def ordinary():
-    """An ordinary photograph, captured."""
-    return capture_array(textured(WIDTH, HEIGHT, 3), settings(), "ordinary")
-
-
 def test_half_the_exposure_gives_the_same_maps():
     """Texel by texel too, of the piece where it was seen: rounding may rearrange it otherwise.
 
@@ -133,9 +127,3 @@ def test_turned_by_a_right_angle_the_material_stays_and_the_flash_turns():
     assert fits[0].roughness == pytest.approx(fits[1].roughness, abs=0.01)
     (x, y, _), turned = (fit.setup.offset for fit in fits)
     assert turned[:2] == pytest.approx((-y, x), abs=0.01)
-
-
-def test_the_same_seed_is_the_same_material_in_every_bit(ordinary):
-    again = capture_array(textured(WIDTH, HEIGHT, 3), settings(), "ordinary")
-    assert torch.equal(ordinary.maps.stacked(), again.maps.stacked())
-    assert np.array_equal(ordinary.rerendered, again.rerendered)
