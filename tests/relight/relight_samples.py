@@ -1,5 +1,7 @@
 """Small materials and pictures that the relighting tests share."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -30,6 +32,13 @@ def bumpy(width=64, height=48, seed=0, relief=0.02, dtype=torch.float32) -> MapS
         texel_size=2.0 / width,
         periodic=True,
     )
+
+
+def coloured(maps: MapSet, seed: int = 0) -> MapSet:
+    """The same, its F0 of any hue, another one at every texel."""
+    draws = np.random.default_rng(seed).random((3, *maps.height.shape[1:]))
+    hue = torch.from_numpy(draws).to(maps.specular.dtype)
+    return replace(maps, specular=maps.specular * (0.3 + 0.7 * hue))
 
 
 def flat(width=32, height=24, diffuse=0.5, specular=0.04, roughness=0.5) -> MapSet:

@@ -2,16 +2,11 @@
 
 Texels farther apart than twice the network's reach share no noise. What correlation is left there
 is the noise of a finite map, which maps of two seeds have as well.
-
-    python tests/synth/repetition.py leather.matcap 4096
 """
-
-import sys
 
 import numpy as np
 
 from matcap.field.field import Field
-from matcap.field.material import Material
 from matcap.field.plane import Span
 from matcap.space.freeze import spans_of
 from matcap.space.tuned import TunedDecoder
@@ -37,9 +32,3 @@ def correlations(material, size, seeds=(1, 2, 3), period=None):
     own = [largest(a, a) for a in spectra]
     others = [largest(spectra[i], spectra[i - 1]) for i in range(len(seeds))]
     return own, others
-
-
-if __name__ == "__main__":
-    found, noise = correlations(Material.load(sys.argv[1]), int(sys.argv[2]))
-    print("with itself:", *(f"{value:.4f}" for value in found))
-    print("of two seeds:", *(f"{value:.4f}" for value in noise))

@@ -17,7 +17,7 @@ from matcap.brdf.folder import MapSetInfo, read_mapset, write_mapset
 from matcap.cli.main import main
 from matcap.field.field import Field
 from matcap.field.material import Material
-from matcap.field.plane import BLOCK, Rectangle
+from matcap.field.plane import Rectangle
 from matcap.files.exr import read_exr
 from matcap.relight.render import Renderer
 from matcap.relight.scene import Camera, DirectionalLight, Film, Scene, Surface
@@ -29,19 +29,9 @@ from matcap.synth.stream import synthesise
 # The field is one function, however it is read, and never repeats unless asked to.
 
 
-def test_random_rectangles_orders_and_workers_give_the_same_bits(material):
-    assert run(material, 60) == 60
-
-
-def test_fields_with_waves_are_bit_identical_too(wavy):
-    assert run(wavy, 20, seed=1) == 20
-
-
-def test_a_periodic_field_is_itself_rolled(material):
-    maps = Field(material, 3, (BLOCK + 16, 48)).read(0, 0, 2 * (BLOCK + 16), 96)
-    for kind in ("diffuse", "specular", "roughness", "height"):
-        one = getattr(maps, kind)
-        assert torch.equal(one, one.roll((48, BLOCK + 16), (1, 2)))
+@pytest.mark.parametrize(("kind", "draws", "seed"), [("material", 60, 0), ("wavy", 20, 1)])
+def test_random_rectangles_orders_and_workers_give_the_same_bits(request, kind, draws, seed):
+    assert run(request.getfixturevalue(kind), draws, seed) == draws
 
 
 def test_an_endless_field_does_not_repeat(material):

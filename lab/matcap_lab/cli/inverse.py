@@ -115,17 +115,10 @@ def ship(
     out: Annotated[Path, typer.Option("--out", "-o", help="The network's file.")] = Path(
         "inverse.safetensors"
     ),
-    before: Annotated[
-        Path | None,
-        typer.Option("--from", help="A network to interpolate with, weighted by 1 - share."),
-    ] = None,
-    share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Weight of the trained network.")
-    ] = 0.5,
     quiet: QuietOption = False,
 ) -> None:
     """Write a training's averaged weights in half precision, as captures read them."""
     from matcap_lab.inverse.train import ship as run
 
-    card = run(folder, out, before, share if before else 1.0)
+    card = run(folder, out)
     printer(quiet=quiet)(f"wrote {out}: {card['steps']} steps")

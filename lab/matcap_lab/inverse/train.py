@@ -448,15 +448,8 @@ def read_network(path: Path) -> Inverse:
     return _trained(path).average if path.is_dir() else read_inverse(path)[0]
 
 
-def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0) -> dict[str, Any]:
+def ship(folder: Path, out: Path) -> dict[str, Any]:
     """Write a training's running average as captures read it; returns its card.
-
-    Args:
-        folder: of the training.
-        out: the file.
-        before: the network that it was initialised from: the interpolation of the two often
-            generalises better than either.
-        share: weights are (1 - share) before + share trained; 1 by default.
 
     Raises:
         MatcapError: the folder holds no training.
@@ -474,11 +467,6 @@ def ship(folder: Path, out: Path, before: Path | None = None, share: float = 1.0
             "real sets by name (matcap_lab/inverse/samples.py, is_held_out)",
         ],
     }
-    if before:
-        other = read_inverse(before)[0].state_dict()
-        here = training.average.state_dict()
-        training.average.load_state_dict({k: other[k].lerp(v, share) for k, v in here.items()})
-        card["share"] = share
     save_inverse(training.average, out, card)
     return card
 

@@ -270,18 +270,14 @@ def test_a_first_leg_goes_on_from_a_shipped_network(tmp_path: Path) -> None:
         assert torch.equal(a, b)
 
 
-def test_what_is_shipped_may_lie_on_the_way(tmp_path: Path) -> None:
+def test_what_is_shipped_is_the_running_average(tmp_path: Path) -> None:
     torch.manual_seed(3)
-    save_inverse(Inverse(), tmp_path / "before.safetensors", {"steps": 7})
-    begin = tmp_path / "before.safetensors"
+    begin, shipped = tmp_path / "before.safetensors", tmp_path / "shipped.safetensors"
+    save_inverse(Inverse(), begin, {"steps": 7})
     state = legs(tmp_path / "run", 1, InverseConfig(), begin)
-    card = ship(tmp_path / "run", tmp_path / "between.safetensors", begin, 0.5)
-    assert card["photographs_seen"] == 8 and card["share"] == 0.5
-    before, between = read_inverse(begin)[0], read_inverse(tmp_path / "between.safetensors")[0]
-    for a, b, c in zip(
-        before.parameters(), state.average.parameters(), between.parameters(), strict=True
-    ):
-        assert torch.allclose((a + b) / 2.0, c, atol=1e-3)
+    assert ship(tmp_path / "run", shipped)["photographs_seen"] == 8
+    for a, b in zip(state.average.parameters(), read_inverse(shipped)[0].parameters(), strict=True):
+        assert torch.allclose(a, b, atol=1e-3)
 
 
 def test_the_rate_warms_up_stays_and_falls_to_nothing() -> None:
