@@ -160,16 +160,11 @@ def share(effect: str, one: Try) -> float:
     return change / bound if change else 0.0
 
 
-def shares(effect: str, folder: Path) -> list[float]:
-    """Of all scenes of an effect."""
-    return [share(effect, one) for one in tries(folder)[effect]]
-
-
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        for effect in tries(Path(folder)):
-            found = shares(effect, Path(folder))
-            print(f"{effect:<16}{max(found):.3f}  of {', '.join(f'{s:.3f}' for s in found)}")
+        for effect, scenes in tries(Path(folder)).items():
+            shares = [share(effect, one) for one in scenes]
+            print(f"{effect:<16}{max(shares):.3f}  of {', '.join(f'{s:.3f}' for s in shares)}")
 
 
 if __name__ == "__main__":

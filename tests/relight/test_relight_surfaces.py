@@ -133,12 +133,6 @@ def sky_file(tmp_path, picture, name="sky.exr"):
     return tmp_path / name
 
 
-def spot(tmp_path, column, row, shape=(32, 64)):
-    picture = np.zeros((*shape, 3))
-    picture[row, column] = 1.0
-    return sky_file(tmp_path, picture)
-
-
 @pytest.mark.parametrize(
     ("direction", "column", "row"),
     [

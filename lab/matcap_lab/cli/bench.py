@@ -268,6 +268,9 @@ def relight(
         typer.Option("--tolerances", help="Measure time against accuracy, by tolerance."),
     ] = False,
     out: OutOption = Path("bench/relight"),
+    width: Annotated[
+        int, typer.Option(min=16, max=4096, help="Width of the pictures of --tolerances.")
+    ] = 256,
 ) -> None:
     """Time of relighting, and time saved by leaving effects out.
 
@@ -279,7 +282,7 @@ def relight(
     from matcap_lab.bench import relight as bench
 
     if tolerances:
-        experiment = bench.tolerance_experiment(scenes or ())
+        experiment = bench.tolerance_experiment(scenes or (), width=width)
         about = bench.TOLERANCE
         rows = _print(experiment, out, about.about, json=json)
         _draw(rows, out / "tolerances.png", about.title, about.axes, about.least)
