@@ -96,15 +96,19 @@ def inspect(
     summary: dict[str, Any] = {"photographs": photographs}
     summary |= {"materials": materials} if materials else {}
     if together if together is not None else are_a_series([path.stem for path in pictures]):
+        from matcap.capture.inspection import coverage_of_files
+
         try:
             with working("comparing the photographs", quiet=as_json):
-                summary["together"], text = _set(pictures, fov)
+                quality = coverage_of_files(pictures, fov)
         except MatcapError as error:
             failures += 1
             summary["together"] = {"reason": str(error)}
             typer.echo(f"matcap: {error}", err=True)
         else:
-            typer.echo("" if as_json else text, nl=not as_json)
+            summary["together"] = quality.document()
+            if not as_json:
+                typer.echo("\n".join(_rated(f"{len(pictures)} photographs together", quality)))
     if as_json:
         typer.echo(json.dumps(summary, indent=2, allow_nan=False))
     if failures:
@@ -189,14 +193,6 @@ def _photo(
     if others:
         document["exposures"] = [each.name for each in (path, *others)]
     return document, quality, lines
-
-
-def _set(paths: Sequence[Path], fov: float | None) -> tuple[dict[str, Any], str]:
-    """Checks of several photographs of one sample, for JSON and as text."""
-    from matcap.capture.inspection import coverage_of_files
-
-    quality = coverage_of_files(paths, fov)
-    return quality.document(), "\n".join(_rated(f"{len(paths)} photographs together", quality))
 
 
 def _rated(name: str, quality: Inspection, shared: Sequence[Finding] = ()) -> list[str]:

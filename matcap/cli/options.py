@@ -221,7 +221,9 @@ def _parameter(one: Setting) -> inspect.Parameter:
     elif kind in NUMBERS:
         kind, more = Any, {"parser": typed(one.number)}
         if math.isfinite(one.least):
-            metavar = metavar or _range(one.least, one.most)
+            # The range, unless nobody reaches its end.
+            limits = f"{one.least:g}..{one.most:g}" if one.most < _ENDLESS else "N"
+            metavar = metavar or limits
     off = f"--no-{one.flag[2:]}" if one.off == "" else one.off
     flag = f"{one.flag}/{off}" if kind is bool and off else one.flag
     names = [flag, *([one.short] if one.short else [])]
@@ -235,11 +237,6 @@ def _parameter(one: Setting) -> inspect.Parameter:
         default=default,
         annotation=Annotated[kind | None, stated],
     )
-
-
-def _range(least: float, most: float) -> str:
-    """Placeholder of a number: its range, unless nobody reaches its end."""
-    return f"{least:g}..{most:g}" if most < _ENDLESS else "N"
 
 
 def _text_of_default(default: object) -> str | None:

@@ -286,12 +286,6 @@ class Decoder(nn.Module):
         self.run(field, adapt)
         return recorded
 
-    def way_down(
-        self, noise: Tensor, step: Callable[[ConvolutionLayer], LayerStep]
-    ) -> list[Tensor]:
-        """Features for the skip connections of every level, full resolution first."""
-        return descend(noise, [[step(layer) for layer in block] for block in self.down_layers()])
-
     def run(
         self,
         field: RandomField,
@@ -308,8 +302,11 @@ class Decoder(nn.Module):
 
             return apply
 
-        up = [[step(layer) for layer in block] for block in self.up_layers()]
-        skips = self.way_down(field.noise, step)
+        down, up = (
+            [[step(layer) for layer in block] for block in blocks]
+            for blocks in (self.down_layers(), self.up_layers())
+        )
+        skips = descend(field.noise, down)
         return ascend(skips, field.read_up, up, step(self.head), periodic=periodic).float()
 
 

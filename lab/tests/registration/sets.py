@@ -191,32 +191,26 @@ def columns(_made: MadeSet, outcome: SetOutcome) -> Mapping[str, Value]:
     }
 
 
-def sets_experiment(
-    count: int, seed: int, width: int, detail: int | None
-) -> Experiment[MadeSet, SetOutcome]:
+def sets_experiment(count: int, seed: int, detail: int | None) -> Experiment[MadeSet, SetOutcome]:
     """Registration of `count` sets, every third hard; each difficulty is a configuration.
 
     Args:
         count: number of sets.
         seed: of the first.
-        width: of the photographs, pixels.
         detail: as of outcome_of.
     """
     kind_of = {f"{number}": kind for number, kind in enumerate(kinds(count), seed)}
 
     return Experiment(
         "registration",
-        {
-            name: partial(make_set, int(name), hard=kind, width=width)
-            for name, kind in kind_of.items()
-        },
+        {name: partial(make_set, int(name), hard=kind) for name, kind in kind_of.items()},
         {
             kind or "easy": Configuration(lambda made, _seed: outcome_of(made, detail))
             for kind in kind_of.values()
         },
         (columns,),
         skips=lambda name, kind: kind != (kind_of[name] or "easy"),
-        settings=(width, detail),
+        settings=detail,
         any_version=True,
     )
 

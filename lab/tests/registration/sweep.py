@@ -12,29 +12,25 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from sets import sets_experiment
 
 from matcap.errors import ExitCode
 from matcap_lab.experiment.results import table
-from matcap_lab.experiment.runner import choose, run
+from matcap_lab.experiment.runner import run
 
 
 def main(arguments: Sequence[str]) -> int:
     """Sweep; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sets", type=int, default=300, help="how many, every third one hard")
-    parser.add_argument("--width", type=int, default=800, help="pixels across")
     parser.add_argument("--seed", type=int, default=0, help="of the first set")
     parser.add_argument("-o", "--out", type=Path, default=Path("bench/registration"))
     aligned = "texels across of a capture that has moved photographs first"
     parser.add_argument("--aligned", type=int, metavar="TEXELS", help=aligned)
-    parser.add_argument("--only", nargs="*", default=(), help="sets that are hard these ways")
     asked = parser.parse_args(arguments)
-    whole = sets_experiment(asked.sets, asked.seed, asked.width, asked.aligned)
-    experiment = replace(whole, configurations=choose(whole.configurations, asked.only))
+    experiment = sets_experiment(asked.sets, asked.seed, asked.aligned)
     asked.out.mkdir(parents=True, exist_ok=True)
     rows = run(
         experiment, asked.out / "registration.csv", lambda line: print(line, file=sys.stderr)
