@@ -66,6 +66,7 @@ _MULTIPLES = (1, 2, 3, 4)  # multiples of a peak's period that are tried as the 
 _CLEARLY = 0.05  # gain in autocorrelation that a multiple needs to replace the single period
 _REACH = 0.4  # largest shift, as a share of the picture's side
 _NEAR = 2  # texels around a shift over which the autocorrelation's maximum is taken
+_PADDED = 48  # texels of which a padded side is a multiple, for fast transforms
 _SHADING = 255  # texels: side of the local mean that is subtracted as shading
 # Share of the texture's power on the lattice below which there is no lattice.
 _LEAST_EXPLAINED = 0.05
@@ -164,16 +165,20 @@ def _periods(waves: tuple[Wave, ...]) -> list[tuple[float, float]]:
 def _autocorrelation_of(colour: Tensor, valid: Tensor) -> Callable[[float, float], float]:
     """Normalised autocorrelation of a texture by shift (x, y) in texels; -1 at too large shifts.
 
-    Over valid texels, after the local mean, which is shading, is subtracted.
+    Over valid texels, after the local mean, which is shading, is subtracted. Planes are padded by
+    what shifts reach, not to twice their size.
     """
     height, width = valid.shape
     seen = valid.to(colour.dtype)
     share = _local_means(seen[None]).clamp_min(1e-6)
     texture = (colour - _local_means(colour * seen) / share) * seen
-    size = (2 * height, 2 * width)
+    size = tuple(_PADDED * -(-int((1 + _REACH) * n + _NEAR + 2) // _PADDED) for n in valid.shape)
 
     def correlated(planes: Tensor) -> Tensor:
-        power = torch.fft.rfft2(planes, s=size).abs().square().sum(0)
+        power = torch.zeros(size[0], size[1] // 2 + 1)
+        for plane in planes:  # one at a time, as a spectrum is large
+            spectrum = torch.view_as_real(torch.fft.rfft2(plane, s=size))
+            power += spectrum.square_().sum(-1)
         return torch.fft.irfft2(power, s=size)
 
     both = correlated(seen[None])
