@@ -25,6 +25,7 @@ from matcap.example.example import coarsened, detail_bits
 from matcap.example.exemplar import Exemplar, Floats
 from matcap.example.lattice import GRID, Frequency, gaussian_windows
 from matcap.example.straighten import displacement, sources
+from matcap.photo.inspect import blurred
 
 # Straightening; docs/notes/field.md.
 _FINE = 16.0  # texels, longest shorter period; offsets of longer ones are measured by lattice.py
@@ -129,17 +130,19 @@ class _Sites:
         phase = (wave[0] * x.astype(np.float64) + wave[1] * y + bend) % 1.0
         carrier = np.exp(-2j * np.pi * phase).astype(np.complex64)
         (down, down_by), (across, across_by) = (
-            (windows.astype(np.complex64), (windows * from_centre).astype(np.complex64))
+            (windows.astype(np.float32), (windows * from_centre).astype(np.float32))
             for windows, from_centre in (
                 (gaussian_windows(n, at, deviation), (np.arange(n) - at[:, None]) / deviation**2)
                 for n, at in ((height, self.rows), (width, self.columns))
             )
         )
-        lines = [plane * carrier for plane in planes]
-        return tuple(
-            np.stack([(left @ line) @ right.T for line in lines])
-            for left, right in ((down, across), (down, across_by), (down_by, across))
-        )
+        local = []
+        for plane in planes:
+            # Real windows of the line's real and imaginary parts: half of a complex product.
+            parts = (plane * carrier).view(np.float32)
+            rows, rows_by = ((window @ parts).view(np.complex64) for window in (down, down_by))
+            local.append((rows @ across.T, rows @ across_by.T, rows_by @ across.T))
+        return tuple(np.stack(each) for each in zip(*local, strict=True))
 
 
 def followed(planes: Floats, wave: Frequency) -> tuple[Frequency, Doubles] | None:
@@ -287,10 +290,3 @@ def _cells(planes: Floats, waves: tuple[Frequency, ...], known: Floats) -> tuple
 def resized(plane: Floats, size: tuple[int, int], how: int) -> Floats:
     """A plane at another size (width, height)."""
     return np.asarray(cv2.resize(plane, size, interpolation=how), np.float32)
-
-
-def blurred(plane: NDArray[np.floating], deviation: float) -> Floats:
-    """Gaussian average of a plane whose borders are reflected."""
-    values = np.ascontiguousarray(plane, np.float32)
-    blurred = cv2.GaussianBlur(values, (0, 0), deviation, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred, np.float32)

@@ -373,7 +373,7 @@ def _gradient_energy(light: NDArray[np.float32], scale: float) -> NDArray[np.flo
     return across * across + down * down
 
 
-def blurred(picture: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+def blurred(picture: NDArray[np.floating], deviation: float) -> NDArray[np.float32]:
     """A picture (H, W) or (H, W, C) blurred by a Gaussian; a wide one on a coarser grid."""
     step = int(deviation / _CELLS)
     if step < 2:

@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.capture.exemplar.relief_spectrum import slope_energies, split
-from matcap.example.fine_lattice import blurred, followed, read_grid, resized, shortest_waves
+from matcap.example.fine_lattice import followed, read_grid, resized, shortest_waves
 from matcap.example.lattice import GRID, Frequency
+from matcap.photo.inspect import blurred
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
