@@ -321,11 +321,11 @@ def _by_strips(
 ) -> tuple[Tensor, Tensor]:
     """Incident.log_radiance() of maps on their own relief, in the light of each strip of rows."""
     log, share = torch.empty_like(maps.diffuse), torch.empty_like(maps.diffuse)
-    normal, (height, width) = maps.normal, maps.diffuse.shape[-2:]
+    height, width = maps.diffuse.shape[-2:]
 
     def shaded(rows: slice) -> None:
         cut = (m[..., rows, :] for m in (maps.diffuse, maps.specular, maps.roughness))
-        incidence = light(rows, slice(None)).flash.onto(normal[..., rows, :])
+        incidence = light(rows, slice(None)).flash.onto(maps.normals_of(rows))
         log[..., rows, :], share[..., rows, :] = incidence.log_radiance(Reflectance(*cut))
 
     at_once(*(partial(shaded, rows) for rows in strips(height, cached_rows(width))))

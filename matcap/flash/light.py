@@ -292,13 +292,10 @@ def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
 
 
 def _picture(maps: MapSet, points: Tensor, light_at: Callable[[Tensor], FlashLight]) -> Tensor:
-    normal = maps.normal
-
     def some(rows: slice) -> Tensor:
-        normals, *materials = (
-            values[..., rows, :] for values in (normal, maps.diffuse, maps.specular, maps.roughness)
-        )
-        return light_at(points[..., rows, :]).onto(normals, exact=True).radiance(*materials)
+        incidence = light_at(points[..., rows, :]).onto(maps.normals_of(rows), exact=True)
+        materials = (maps.diffuse, maps.specular, maps.roughness)
+        return incidence.radiance(*(values[..., rows, :] for values in materials))
 
     height, width = points.shape[-2:]
     parts = (partial(some, rows) for rows in strips(height, cached_rows(width)))
