@@ -21,6 +21,7 @@ from matcap.capture.registration.camera import grid_points
 from matcap.capture.registration.keypoints import LONG_SIDE
 from matcap.capture.registration.register import RegisteredView, Registration, register_in_any_order
 from matcap.capture.verdict.causes import highlight_profile
+from matcap.capture.verdict.measurements import clipped_at
 from matcap.errors import MatcapError
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import flash_mirror_point
@@ -105,7 +106,7 @@ def checked(photo: Photo, coarse: CoarseFit, plane: Plane) -> Inspection:
         CHECKS["flash_offset"].finding(offset, off=50.0 * offset)
     )
     limit = plane.encoding.limit
-    picture, valid = np.minimum(picture_of(plane.linear), limit), plane.valid.numpy()
+    picture, valid = clipped_at(picture_of(plane.linear), limit), plane.valid.numpy()
     inside = valid | (picture > FULL * limit).any(axis=2)
     profile = highlight_profile((picture, picture), inside, valid, coarse.setup, limit)
     if profile is None or not profile.glossy:

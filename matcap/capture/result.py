@@ -24,6 +24,7 @@ from matcap.capture.verdict.judge import CaptureVerdict, judge
 from matcap.capture.verdict.measurements import (
     Measurements,
     Picture,
+    clipped_at,
     lit_from_sides,
     measure_capture,
     patchiness,
@@ -184,9 +185,9 @@ def judge_material(
         (maps, landscape), inspected, about = at_once(
             shown, partial(checked, photo, rectified.coarse, plane), measured
         )
-        whole, kept = picture_of(plane.linear), plane.kept.numpy()[..., None]
-        compared = np.where(kept, whole, landscape)  # a difference of zero where masked
-        seen = np.where(kept, whole, np.float32(0.0))
+        seen = compared = picture_of(plane.linear)
+        if plane.left_out is not None:  # a difference of zero where masked
+            compared = np.where(plane.kept.numpy()[..., None], seen, landscape)
         valid = plane.valid.numpy()
         setup = replace(material.setup, turned=False)
         measurements = measure_capture(
@@ -198,6 +199,8 @@ def judge_material(
         measurements, verdict = _judged(
             measurements, photo, (compared, valid), (maps, itself), material.setup
         )
+        if plane.left_out is not None:
+            seen = np.where(plane.kept.numpy()[..., None], seen, np.float32(0.0))
     return CaptureResult(
         photo=photo,
         material=material,
@@ -249,7 +252,7 @@ def _judged(
     if not verdict.asks_for_exemplar:
         return measured, verdict
     rendered = _rendered(replace(exemplar, painted=exemplar.normal), setup)
-    pictures = np.minimum(pixels, photo.headroom), np.minimum(rendered, photo.headroom)
+    pictures = clipped_at(pixels, photo.headroom), clipped_at(rendered, photo.headroom)
     measured = replace(measured, itself=measured.of_texture(photo, pictures, valid))
     return measured, judge(measured)
 

@@ -123,7 +123,7 @@ class Measurements:
         """With the texture of `pictures`, photograph and re-rendering, clipped alike."""
         developed = not (photo.radiometric or photo.floating)
         plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=photo.headroom)
-        rendering = planes_of(pictures[1])
+        rendering = torch.from_numpy(pictures[1]).movedim(-1, 0)
 
         def of_contrast() -> tuple[dict[str, tuple[float, float]], dict[str, Region]]:
             tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
@@ -168,7 +168,7 @@ def measure_capture(
     exemplar = exemplar or ExemplarMeasurements()
     # Both are clipped at the camera's limit.
     limit = photo.headroom
-    pictures = np.minimum(rectified, limit), np.minimum(rerendered, limit)
+    pictures = clipped_at(rectified, limit), clipped_at(rerendered, limit)
     smooth = _smooth(pictures[0]), _smooth(pictures[1])
     colour, light = smooth_difference(*smooth)
     highlights = find_highlight(light_of(pictures[0])), find_highlight(light_of(pictures[1]))
@@ -187,6 +187,11 @@ def measure_capture(
         return measured
     around = upright_region(photo, _around(seen, rectified.shape))
     return replace(measured, regions={**measured.regions, "highlight": around})
+
+
+def clipped_at(picture: Picture, limit: float) -> Picture:
+    """A picture's radiance up to `limit`: itself, no copy, where none exceeds it."""
+    return picture if picture.max() <= limit else np.minimum(picture, np.float32(limit))
 
 
 def _around(highlight: Highlight, shape: tuple[int, ...]) -> Region:
@@ -300,13 +305,16 @@ def lit_from(
     columns: slice = slice(None),
 ) -> Picture:
     """(h, w, 3) radiance of texels of maps under a light of SIDES, from the photograph's camera."""
-    points = points_of(maps.size[::-1])
+    points = points_of(maps.size[::-1], rows)[:, :: rows.step, columns]
     if setup.turned:
         points *= maps.size[0] / maps.size[1]  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(SIDES[side])
-    some = replace(maps, painted=maps.normal).map(lambda planes: planes[..., rows, columns])
+    step, (first, last, _) = rows.step or 1, rows.indices(maps.size[1])
+    parts = (slice(top, min(top + step * 64, last)) for top in range(first, last, step * 64))
+    normal = torch.cat([maps.normals_of(part)[..., ::step, columns] for part in parts], dim=-2)
+    some = replace(maps, painted=None).map(lambda planes: planes[..., rows, columns])
     with torch.no_grad():
-        radiance = shade(some, points[:, rows, columns], camera, light, torch.ones(3))
+        radiance = shade(replace(some, painted=normal), points, camera, light, torch.ones(3))
     return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
 
 
@@ -424,8 +432,8 @@ def texture_difference(plane: Plane, rendering: Tensor) -> tuple[float, dict[str
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
-        cut = [picture[:, y : y + WINDOW, x + shift :][..., :WINDOW] for x, y in places]
-        return describe(torch.stack(cut), plane.encoding, bank)
+        cut = (picture[:, y : y + WINDOW, x + shift :][..., :WINDOW] for x, y in places)
+        return describe(torch.stack([each.contiguous() for each in cut]), plane.encoding, bank)
 
     with torch.inference_mode():
         here, neighbour, there = at_once(
