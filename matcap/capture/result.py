@@ -186,9 +186,9 @@ def judge_material(
             shown, partial(checked, photo, rectified.coarse, plane), measured
         )
         seen = compared = picture_of(plane.linear)
-        if plane.left_out is not None:  # a difference of zero where masked
-            compared = np.where(plane.kept.numpy()[..., None], seen, landscape)
-        valid = plane.valid.numpy()
+        kept, valid = plane.kept.numpy()[..., None], plane.valid.numpy()
+        if not kept.all():  # a difference of zero where masked
+            compared, seen = np.where(kept, seen, landscape), np.where(kept, seen, np.float32(0.0))
         setup = replace(material.setup, turned=False)
         measurements = measure_capture(
             photo, setup, compared, landscape, valid, rectified.waves, about, inspected
@@ -199,8 +199,6 @@ def judge_material(
         measurements, verdict = _judged(
             measurements, photo, (compared, valid), (maps, itself), material.setup
         )
-        if plane.left_out is not None:
-            seen = np.where(plane.kept.numpy()[..., None], seen, np.float32(0.0))
     return CaptureResult(
         photo=photo,
         material=material,

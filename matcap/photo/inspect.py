@@ -199,10 +199,10 @@ def _subject(photo: Photo, tiles: Values, falloff: float) -> Finding:
     far = max(1, max(pixels.shape[:2]) // _SEPARATION)
     far_on, before, whole = slice(far, None), slice(-far), slice(None)
     pairs = [((far_on, whole), (before, whole)), ((whole, far_on), (whole, before))]
-    same = [(pixels[one] == pixels[other]).all(axis=2) for one, other in pairs]
+    same = [_every(pixels[one] == pixels[other]) for one, other in pairs]
     equal = min(float(each.mean()) for each in same)
     # Black gloss lit by a flash is in few codes: no drawing.
-    dark = (pixels.max(axis=2) < _TENTH) & (falloff > CHECKS["flash"].limits[0])
+    dark = _every(pixels < _TENTH) & (falloff > CHECKS["flash"].limits[0])
     black = equal - min(
         float((each & ~dark[one]).mean()) for each, (one, _) in zip(same, pairs, strict=True)
     )
@@ -360,6 +360,11 @@ def _side(right: float, up: float) -> str:
 def channel_mean(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W) mean of a picture's three channels: mean(axis=2) in a tenth of its time."""
     return (picture[..., 0] + picture[..., 1] + picture[..., 2]) / np.float32(3.0)
+
+
+def _every(channels: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(H, W) whether all three channels are: all(axis=2) in a tenth of its time."""
+    return channels[..., 0] & channels[..., 1] & channels[..., 2]
 
 
 def _log(radiance: NDArray[Any]) -> NDArray[Any]:
