@@ -211,7 +211,7 @@ def report(result: CaptureResult) -> dict[str, Any]:
         "highlight": profile and profile.document(),
         "error": result.errors,
         "warnings": list(warnings(result)),
-        "notes": [*photo.notes, *extent, *_setting_notes(result)],
+        "notes": [*photo.notes, *extent, *level_notes(result), *_setting_notes(result)],
         "photograph": {
             "name": photo.name,
             "path": None if photo.path is None else str(photo.path),
@@ -301,6 +301,7 @@ def _exemplar(result: CaptureResult) -> dict[str, Any] | None:
         "variety": estimate.example.variety,
         "patches": summary(estimate.example).patches_text(),
         "relief_spectrum": spectrum and spectrum.document(),
+        "level": estimate.level,
         "level_deviation": estimate.level_deviation,
         "confidence": estimate.mean_confidence(result.photo.kept_share),
         "specular_channels": len(estimate.exemplar.specular),
@@ -341,6 +342,17 @@ def set_warnings(result: CaptureResult) -> Iterable[str]:
         yield (
             "The other photographs show hardly more than the first one, so --union makes the maps "
             "no larger. Move the phone farther from one to the next, by up to half a picture."
+        )
+
+
+def level_notes(result: CaptureResult) -> Iterable[str]:
+    """A sentence on a dielectric's mean albedo and its standard deviation, where not given."""
+    estimate = result.estimate
+    if estimate is not None and estimate.level_deviation:
+        yield (
+            f"Mean albedo {estimate.level:.2g}, uncertain by a factor of "
+            f"{math.exp(estimate.level_deviation):.1f}: one photograph shows it only against the "
+            "highlight. --albedo states it."
         )
 
 

@@ -185,7 +185,7 @@ def _capture(
     spent: float,
 ) -> dict[str, Any]:
     began = time.perf_counter()
-    from matcap.capture.report import no_repeat, set_warnings
+    from matcap.capture.report import level_notes, no_repeat, set_warnings
     from matcap.capture.run import capture_into
     from matcap.files.process import returning_memory
 
@@ -204,7 +204,7 @@ def _capture(
         "material": str(job.folder / f"{job.folder.name}.matcap"),
         "verdict": result.verdict.document(),
         "error": result.errors,
-        "notes": [*set_warnings(result), *result.photo.remarks],
+        "notes": [*set_warnings(result), *result.photo.remarks, *level_notes(result)],
     }
 
 

@@ -25,7 +25,12 @@ from matcap.capture.exemplar.detail_transfer import transfer_detail
 from matcap.capture.exemplar.glints import without_glints
 from matcap.capture.exemplar.inpaint import inpainted
 from matcap.capture.exemplar.lattice_relief import averaged_over_cells
-from matcap.capture.exemplar.mean_parameters import RingTarget, most_probable_scale, scaled
+from matcap.capture.exemplar.mean_parameters import (
+    DIELECTRIC,
+    RingTarget,
+    most_probable_scale,
+    scaled,
+)
 from matcap.capture.exemplar.network.network import Inverse
 from matcap.capture.exemplar.predict import (
     NetworkPrediction,
@@ -83,11 +88,17 @@ class ExemplarEstimate:
     scale: float = 1.0
     """Factor on albedo and F0 by mean_parameters.py; the flash is divided by it."""
     level_deviation: float | None = None
-    """Standard deviation of log albedo over F0 of a dielectric (CoarseFit); None of others."""
+    """Standard deviation of the log of a dielectric's mean albedo, by that of albedo over F0
+    (CoarseFit) and the prior of F0; None of others, and if the level is given."""
     turned: bool = False
     """Whether the maps are rotated to a portrait photograph's orientation."""
     kept: TexelMask | None = None
     """(H, W) texels of the material that one photograph shows; None if all, or for several."""
+
+    @property
+    def level(self) -> float:
+        """Mean albedo."""
+        return float(self.exemplar.diffuse.mean())
 
     @property
     def first_rectangle(self) -> Exemplar:
@@ -168,6 +179,7 @@ def estimate_exemplar(
         finest=plane.size == whole.size,
     )
     coarse = observed.coarse
+    over_f0 = None if known.absolute or known.albedo is not None else coarse.level_deviation
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(
             exemplar_of(observed, prediction), observed, rectified.input_waves
@@ -191,7 +203,7 @@ def estimate_exemplar(
         spectrum,
         error,
         scale=scale * coarse.specular / rectified.coarse.specular,
-        level_deviation=coarse.level_deviation,
+        level_deviation=over_f0 and math.hypot(over_f0, DIELECTRIC.specular.deviation),
         turned=turned,
         kept=_upright(kept, turned=turned),
     )

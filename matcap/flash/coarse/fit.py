@@ -235,13 +235,14 @@ def _fitted(
         last = replace(last, diffuse_share=diffuse_share.under(flash))
     best = _best(last, initial)
     rest = last.differences(best)[last.cells.above == 1.0]
+    residual = math.sqrt(np.square(rest).mean()) if rest.size else 0.0
     exponent = math.exp(Unknowns.of(best).tone[0])
     fit = CoarseFit(
         *_uniform(Unknowns.of(best), photo.fov, conductor=last.conductor),
-        residual=math.sqrt(np.square(rest).mean()) if rest.size else 0.0,
+        residual=residual,
         conductor=last.conductor,
         tone=ToneCurve() if last.shoulder is None else ToneCurve(exponent, last.shoulder),
-        level_deviation=None if last.conductor else last.level_deviation(best),
+        level_deviation=None if last.conductor else last.level_deviation(best, residual),
     )
     return _with_colour_falloff(fit, last, best, photo), last.cost(best), last.unit
 
