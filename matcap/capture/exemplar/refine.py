@@ -10,8 +10,8 @@ In come predicted maps with their classes, out go refined ones (refine_maps):
    (mean_parameters.py);
 5. refine_albedo: residual log radiance, less white glints of coloured materials (glints.py), is
    assigned to the albedo of every texel, of metal to F0;
-6. evened_albedo, flatten, with_photographed_mean: glints of black gloss are taken off albedo, as 1,
-   and the mean radiance is the photograph's;
+6. evened_albedo, flatten, with_photographed_mean: albedo has no more contrast in dim light, and of
+   black gloss in the highlight; then as 1, and the mean radiance is the photograph's;
 7. refitted_to_highlight, after inpainting, where light above white is measured: F0 and roughness
    once more, with the finished relief.
 
@@ -123,7 +123,11 @@ MIRRORED = 0.4
 LEAST_SHARE = 0.01  # least share of the photograph for that region
 # Share of the photograph, with the least specular fraction, in the mattest region.
 _MATTE_SHARE = 0.33
-_GLOSSES = 8  # bins of the specular fraction of the others
+_BINS = 8  # of the specular fraction, or of light, of the others
+# Share of the matte photograph, with the most light, whose contrast of albedo is not exceeded, and
+# specular fraction up to which a texel is matte.
+_LIT_SHARE, _MATTE = 0.5, 0.3
+_BY_CHANCE = 1.25  # contrast in dim light over that in more, up to 1.2 in simulated photographs
 _CELLS = 4  # across the picture, parts whose energies tell how much texture differs by place
 
 
@@ -167,33 +171,56 @@ def refine_maps(
 
 
 def evened_albedo(observed: Observation, residuals: SurfaceParameters) -> SurfaceParameters:
-    """Log albedo with no more contrast in the highlight than beside it, if light has little of it.
+    """Log albedo with no more contrast in dim light, or in the highlight, than where it is seen.
 
+    A sample is stationary (_evening). In dim light JPEG codes, relief seen obliquely and errors of
+    the falloff add contrast, to chroma up to 2.5 times, so it is evened separately from lightness.
     Of black gloss, relief is seen in the highlight, and what it does not explain is glints, not
-    albedo. A sample is stationary: with the variance V of log albedo in a bin of the specular
-    fraction, and V_0 that of the mattest _MATTE_SHARE, deviations from the mean are multiplied by
-
-        1 - (1 - w) (1 - min(1, sqrt(V_0 / V))),    w = albedo_weight.
+    albedo: a share 1 - albedo_weight of contrast is evened by the specular fraction.
     """
-    weight = albedo_weight(observed)
-    used = observed.plane.valid.numpy()
-    specular = observed.specular_fraction
-    if weight == 1.0 or not used.any():
+    used, specular = observed.plane.valid.numpy(), observed.specular_fraction
+    if not used.any():
         return residuals
-    edges = np.quantile(specular[used], np.linspace(_MATTE_SHARE, 1.0, _GLOSSES + 1))
-    place = np.searchsorted(edges, specular)
     seen = torch.from_numpy((1.0 - specular) * used + 1e-6)
-    deviation = (
-        residuals.diffuse - (residuals.diffuse * seen).sum((1, 2), keepdim=True) / seen.sum()
+    mean = (residuals.diffuse * seen).sum((1, 2), keepdim=True) / seen.sum()
+    deviation = residuals.diffuse - mean
+    grey = deviation.mean(0, keepdim=True)
+    matte = used & (specular <= max(_MATTE, float(np.median(specular[used]))))
+    dimness = -observed.light.flash.power.mean(0).numpy()
+    excess = sum(
+        (
+            part * (1.0 - _evening(part, dimness, matte, _LIT_SHARE, _BY_CHANCE))
+            for part in (grey, deviation - grey)
+        ),
+        torch.zeros_like(deviation),
     )
-    squares = deviation.square().mean(0).numpy()
-    count, total = (np.bincount(place[used], each, _GLOSSES + 2) for each in (None, squares[used]))
+    glints, deviation = 1.0 - albedo_weight(observed), deviation - excess
+    if glints > 0.0:
+        evening = _evening(deviation, specular, used, _MATTE_SHARE)
+        excess += glints * (1.0 - evening) * deviation
+    return replace(residuals, diffuse=residuals.diffuse - excess)
+
+
+def _evening(
+    planes: Tensor, key: Floats, used: NDArray[np.bool_], share: float, by_chance: float = 1.0
+) -> Tensor:
+    """(H, W) factors min(1, c sqrt(V_0 / V)) that even contrast against a key.
+
+    Args:
+        planes: (C, H, W) of mean 0; V is their variance in a bin of the key.
+        key: (H, W) what contrast must not rise with.
+        used: (H, W) texels that are measured.
+        share: of them, with the least key; V_0 is the variance there.
+        by_chance: c, ratio of contrasts up to which a texture may differ by place.
+    """
+    squares = planes.square().mean(0).numpy()
+    edges = np.quantile(key[used], np.linspace(share, 1.0, _BINS + 1))
+    place = np.searchsorted(edges, key)
+    count, total = (np.bincount(place[used], each, _BINS + 2) for each in (None, squares[used]))
     variance = total / np.maximum(count, 1)
-    factor = np.minimum(1.0, np.sqrt(variance[0] / np.maximum(variance, 1e-12)))
+    factor = np.minimum(1.0, by_chance * np.sqrt(variance[0] / np.maximum(variance, 1e-12)))
     middle = np.array([edges[0], *(0.5 * (edges[1:] + edges[:-1]))])
-    kept = 1.0 - (1.0 - weight) * (1.0 - np.interp(specular, middle, factor[: _GLOSSES + 1]))
-    mean = residuals.diffuse - deviation
-    return replace(residuals, diffuse=mean + deviation * torch.from_numpy(kept.astype(np.float32)))
+    return torch.from_numpy(np.interp(key, middle, factor[: _BINS + 1]).astype(np.float32))
 
 
 def fitted_to_highlight(observed: Observation, prediction: NetworkPrediction) -> NetworkPrediction:

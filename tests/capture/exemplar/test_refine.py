@@ -434,6 +434,21 @@ def test_glints_of_black_gloss_are_no_albedo():
         assert float(after[:, used].mean()) == pytest.approx(0.5, abs=0.03)
 
 
+def test_chroma_of_dim_corners_is_no_stronger_than_elsewhere():
+    """Chroma three times as strong in dim light is evened to 1.25 times; lightness stays."""
+    shot, observed = in_8_bits(0.3, 4.0)
+    light = observed.light.flash.power.mean(0).numpy()
+    dim = light < np.quantile(light, 0.1)
+    noise = np.random.default_rng(1).normal(0.0, 0.2, (3, 384, 512)).astype(np.float32)
+    grey = noise.mean(0)
+    diffuse = torch.from_numpy(grey + (noise - grey) * np.where(dim, 3.0, 1.0).astype(np.float32))
+    before = replace(observed.light.residuals(shot.maps), diffuse=diffuse)
+    after = evened_albedo(observed, before).diffuse.numpy()
+    strong, usual = ((after - after.mean(0))[:, where].std() for where in (dim, ~dim))
+    assert strong / usual == pytest.approx(1.25, rel=0.15)
+    assert np.allclose(after.mean(0), grey, atol=1e-3)
+
+
 # White glints of coloured materials are no albedo.
 
 
