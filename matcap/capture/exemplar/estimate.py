@@ -276,7 +276,11 @@ def indexed(
         part = None if kept is None else _shown(kept)
 
         def evened() -> Exemplar:  # not what is indexed: what departs by a trend keeps its cost
-            return evenly_sharp(exemplar).rounded() if one_light else exemplar
+            even = evenly_sharp(exemplar) if one_light else exemplar
+            if even is exemplar:
+                return exemplar
+            even = even.rounded()  # the other maps are shared
+            return replace(exemplar, diffuse=even.diffuse, specular=even.specular)
 
         made = partial(Example.of_rounded, exemplar, waves, part=part, one_light=one_light)
         example, even = at_once(made, evened)
