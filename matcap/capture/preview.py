@@ -25,7 +25,7 @@ from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.exemplar.predict import map_set_of
 from matcap.capture.multiview.set_report import draw_predicted, draw_set
 from matcap.capture.result import CaptureResult
-from matcap.capture.verdict.measurements import LIT, SIDES, lit_from
+from matcap.capture.verdict.measurements import LIT, SIDES, lit_from, texels_of
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
 from matcap.files.pixels import png_bytes
@@ -235,7 +235,6 @@ def panels(result: CaptureResult) -> Iterable[Panel]:
 def exemplar_panels(result: CaptureResult, estimate: ExemplarEstimate) -> Iterable[Panel]:
     """Panels of an exemplar, as panels()."""
     maps, setup = map_set_of(estimate.first_rectangle), result.material.setup
-    maps = replace(maps, painted=maps.normal)
     whole, close = _under_flash(maps, setup)
     photograph = _photograph(result)
     yield photograph
@@ -341,7 +340,7 @@ def relit(side: str, maps: MapSet, rerendered: Picture, setup: FlashSetup) -> Pa
 
 
 def _under_flash(maps: MapSet, setup: FlashSetup) -> tuple[Picture, Picture]:
-    """Render maps with painted normals under the setup's flash: some texels, and the crop."""
+    """Render maps under the setup's flash: some texels, and the crop."""
     turned, setup = setup.turned, replace(setup, turned=False)
     landscape = maps.turned(1) if turned else maps
     width, height = landscape.size
@@ -350,7 +349,7 @@ def _under_flash(maps: MapSet, setup: FlashSetup) -> tuple[Picture, Picture]:
 
     @torch.no_grad()
     def lit(rows: slice, columns: slice) -> Picture:
-        some = landscape.map(lambda planes: planes[..., rows, columns])
+        some = texels_of(landscape, rows, columns)
         radiance = render_flash(some, setup, points[:, rows, columns]).movedim(0, -1).numpy()
         return standing(radiance) if turned else np.ascontiguousarray(radiance)
 

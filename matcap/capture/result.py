@@ -249,7 +249,7 @@ def _judged(
     verdict = judge(measured)
     if not verdict.asks_for_exemplar:
         return measured, verdict
-    rendered = _rendered(replace(exemplar, painted=exemplar.normal), setup)
+    rendered = _rendered(exemplar, setup)
     pictures = clipped_at(pixels, photo.headroom), clipped_at(rendered, photo.headroom)
     measured = replace(measured, itself=measured.of_texture(photo, pictures, valid))
     return measured, judge(measured)

@@ -309,13 +309,18 @@ def lit_from(
     if setup.turned:
         points *= maps.size[0] / maps.size[1]  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(SIDES[side])
+    with torch.no_grad():
+        radiance = shade(texels_of(maps, rows, columns), points, camera, light, torch.ones(3))
+    return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
+
+
+def texels_of(maps: MapSet, rows: slice, columns: slice) -> MapSet:
+    """Some texels of maps, with the normals that they have among all; computed by strips."""
     step, (first, last, _) = rows.step or 1, rows.indices(maps.size[1])
     parts = (slice(top, min(top + step * 64, last)) for top in range(first, last, step * 64))
     normal = torch.cat([maps.normals_of(part)[..., ::step, columns] for part in parts], dim=-2)
     some = replace(maps, painted=None).map(lambda planes: planes[..., rows, columns])
-    with torch.no_grad():
-        radiance = shade(replace(some, painted=normal), points, camera, light, torch.ones(3))
-    return np.ascontiguousarray(radiance.movedim(0, -1).numpy())
+    return replace(some, painted=normal)
 
 
 def lit_from_sides(maps: MapSet, setup: FlashSetup) -> tuple[Picture, ...]:
