@@ -262,9 +262,9 @@ _DARKEST, _GRAZING = 1e-4, 0.05  # lower limits of albedo and of the cosine to t
 _AROUND = 16.0  # texels, standard deviation of local averages, of contrast and of its high-pass
 _INDEPENDENT = 56  # texels between independent local averages, 2 sqrt(pi) deviations
 _CHANCE = 2.0  # F ratio up to which a trend may be chance
-# Squares across, of a board of which each half predicts the other; share of variance that a trend
-# predicts (creased leather 2065 0.10, black leather 0240 0.57, leather 0258 0.42).
-_CELLS, _SMOOTH = 5, 0.3
+# Squares across, of a board of which each half predicts the other; shares of variance that no trend
+# and a trend predict (creased leather 2065 0.09, black leather 0240 0.56, leather 0258 0.42).
+_CELLS, _ROUGH, _SMOOTH = 5, 0.1, 0.3
 # Change of log contrast, and of the orientation's components, that the eye sees between patches.
 _VISIBLE = (0.12, 0.15, 0.15)
 _FREE = 0.3  # share of the known places that has no penalty, those nearest to each other
@@ -416,8 +416,8 @@ def _trend(
     """Polynomials of place, fitted to places that are seen, times 1 - _CHANCE / F, F their F ratio.
 
     Elsewhere they stay within the range that is seen. Places this far apart are independent. All
-    are multiplied by the share of variance that they predict (_predicted), over _SMOOTH, if that
-    is less than 1.
+    are multiplied by a ramp, from 0 at _ROUGH to 1 at _SMOOTH, of the share of variance that they
+    predict (_predicted).
     """
     count, rows, columns = features.shape
     y, x = np.mgrid[-1.0 : 1.0 : rows * 1j, -1.0 : 1.0 : columns * 1j]
@@ -434,7 +434,8 @@ def _trend(
     ratio = fitted[fit].var(axis=0) / terms / np.maximum(left, 1e-12)
     kept = (1.0 - _CHANCE / np.maximum(ratio, _CHANCE)) * fitted
     square = np.add.outer(*((n * _CELLS // columns) for n in (np.arange(rows), np.arange(columns))))
-    kept *= min(1.0, _predicted(basis[fit], flat[fit], square.ravel()[fit] % 2 > 0) / _SMOOTH)
+    predicted = _predicted(basis[fit], flat[fit], square.ravel()[fit] % 2 > 0)
+    kept *= min(1.0, max(0.0, predicted - _ROUGH) / (_SMOOTH - _ROUGH))
     return np.asarray(kept.T.reshape(features.shape), np.float64)
 
 
