@@ -16,10 +16,12 @@ from matcap.example.candidates import (
     DIMENSIONS,
     MOST_ASPECT,
     PLANES,
+    SLOPES,
     TAPS,
     Appearance,
     Basis,
     Candidates,
+    FeatureMap,
     Frame,
     PatchSizes,
     Scale,
@@ -65,6 +67,11 @@ _FINENESS = 16  # least number of places along the shorter side of a lattice's p
 # Difference from the most similar place over the median from which on a place stands out, and the
 # largest share of such places: others belong to the material.
 _OUTSTANDING, _SMALL = 7.0, 0.03
+# Stains: level of the features that show them, standard deviation of the mean around, texels; their
+# departure from it, in deviations (1.48 medians), everywhere and at most; least and largest extent,
+# texels; least area, squared texels; largest share of all, as more belong to the material.
+_STAINED, _AROUND, _DEPARTS, _PEAK = 3, 32, 2.0, 3.0
+_EXTENT, _AREA, _MOST_STAINED = (24, 128), 400, 0.05
 _ALIKE = 64.0  # squared difference of appearance that is not visible: one feature by two of UNIT
 _LEAST_TRUST = 0.02  # added to a map's confidence before the logarithm
 _TRUSTED = 0.8  # quantile of the confidence that places are compared with
@@ -209,6 +216,10 @@ def build_index(
     bases, candidates = [basis for basis, _ in levels], [each for _, each in levels]
     bits, coarsest = grid_bits(count - 1), project(grids[-1], bases[-1])
     outstanding = _outstanding(candidates, penalty < _KNOWN)
+    if lattice is None:
+        at = min(_STAINED, count - 1)
+        stains = _stains(grids[at], grid_bits(at), penalty < _MOST)
+        penalty = np.maximum(penalty, _DOUBTFUL * stains)
     penalty = np.maximum(penalty, _MARK * outstanding)
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
@@ -268,6 +279,42 @@ def _outstanding(candidates: list[Candidates], known: NDArray[np.bool_]) -> NDAr
     least = max(_OUTSTANDING, float(np.quantile(rarity[known], 1.0 - _SMALL)))
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     return np.asarray(cv2.dilate((rarity > least).astype(np.uint8), cross) > 0)
+
+
+def _stains(features: FeatureMap, bits: int, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Stains and rings that fit into a patch: like others, but the eye sees that they recur.
+
+    Longer features, such as veins, are none. (rows, columns) on the grid of placement costs.
+
+    Args:
+        features: (PLANES, H, W) of a level.
+        bits: log2 of their step in texels.
+        known: (rows, columns) squares that the photograph shows.
+    """
+    import cv2  # takes a tenth of a second, which synthesis is spared
+
+    if not known.any():
+        return np.zeros_like(known)
+    size = features.shape[:0:-1]
+    seen = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
+    departure = np.zeros_like(seen)
+    for plane in features[: SLOPES.start].astype(np.float32):
+        sums, weights = (
+            cv2.GaussianBlur(each, (0, 0), _AROUND / (1 << bits)) for each in (plane * seen, seen)
+        )
+        off = np.abs(plane - sums / (weights + 1e-3)) * seen
+        usual = 1.4826 * float(np.median(off[seen > 0.0])) + math.sqrt(_ALIKE) / 2.0
+        departure = np.maximum(departure, off / usual)
+    over = (departure > _DEPARTS).astype(np.uint8)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(over)
+    peaks = np.zeros(count)
+    np.maximum.at(peaks, np.asarray(labels, np.int64), departure)
+    extent, area = boxes[:, 2:4].max(axis=1) * 2**bits, boxes[:, 4] * 4**bits
+    chosen = (peaks > _PEAK) & (area > _AREA) & (_EXTENT[0] <= extent) & (extent <= _EXTENT[1])
+    chosen[0] = False
+    stains = chosen[labels].astype(np.uint8) * (chosen[labels].mean() <= _MOST_STAINED)
+    stains = cv2.resize(stains, known.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.dilate(stains, np.ones((3, 3), np.uint8)) > 0)
 
 
 def _square_means(plane: NDArray[np.floating]) -> NDArray[np.floating]:
