@@ -25,7 +25,7 @@ from matcap.capture.exemplar.network.network import (
     network_inputs,
     resized,
 )
-from matcap.capture.exemplar.relief_spectrum import smoothed
+from matcap.capture.exemplar.octaves import smoothed
 from matcap.capture.settings import DETAIL
 from matcap.files.color import srgb_slope
 from matcap.files.threads import at_once, one_thread

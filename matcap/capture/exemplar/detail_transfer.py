@@ -24,8 +24,8 @@ from matcap.brdf.heights import spline_enlarged
 from matcap.brdf.maps import MapSet
 from matcap.capture.exemplar.inpaint import Copies
 from matcap.capture.exemplar.network.network import SUBSAMPLING
+from matcap.capture.exemplar.octaves import smoothed, split
 from matcap.capture.exemplar.predict import with_confidence
-from matcap.capture.exemplar.relief_spectrum import smoothed, split
 from matcap.capture.rectified import AROUND, PlaneLight
 from matcap.example.exemplar import Exemplar
 from matcap.flash.light import DARKEST, Uniform

@@ -32,6 +32,7 @@ from matcap.capture.exemplar.mean_parameters import (
     scaled,
 )
 from matcap.capture.exemplar.network.network import Inverse
+from matcap.capture.exemplar.octaves import filled, smoothed
 from matcap.capture.exemplar.predict import (
     NetworkPrediction,
     exemplar_of,
@@ -45,9 +46,7 @@ from matcap.capture.exemplar.relief_spectrum import (
     RESPONSE_AROUND,
     ReliefSpectrum,
     equalise,
-    filled,
     measure_relief_spectrum,
-    smoothed,
 )
 from matcap.capture.rectified import Observation, Rectified, channel_weights
 from matcap.capture.settings import CaptureClock

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 from matcap.capture.exemplar.network.network import SUBSAMPLING, resized
-from matcap.capture.exemplar.relief_spectrum import local_mean
+from matcap.capture.exemplar.octaves import local_mean
 from matcap.flash.coarse.fit import CoarseFit
 from matcap.flash.geometry import points_of
 from matcap.flash.light import FlashLight, uniform_radiance

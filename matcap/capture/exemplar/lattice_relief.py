@@ -25,7 +25,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from matcap.capture.exemplar.relief_spectrum import slope_energies, split
+from matcap.capture.exemplar.octaves import split
+from matcap.capture.exemplar.relief_spectrum import slope_energies
 from matcap.example.fine_lattice import followed, read_grid, resized, shortest_waves
 from matcap.example.lattice import GRID, Frequency
 from matcap.photo.inspect import blurred

@@ -31,7 +31,7 @@ from matcap.capture.exemplar.mean_parameters import (
     how_metallic,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors, Inverse, NetworkAnswer
-from matcap.capture.exemplar.relief_spectrum import WIDE, smoothed
+from matcap.capture.exemplar.octaves import WIDE, smoothed
 from matcap.capture.rectified import Observation, channel_weights, seen_share
 from matcap.example.exemplar import Exemplar
 from matcap.files.threads import computing, workers

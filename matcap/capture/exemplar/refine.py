@@ -66,16 +66,13 @@ from matcap.capture.exemplar.mean_parameters import (
     fit_mean_parameters,
 )
 from matcap.capture.exemplar.network.network import ExpectedErrors
+from matcap.capture.exemplar.octaves import WIDE, filled, smoothed, split
 from matcap.capture.exemplar.predict import NetworkPrediction, albedo_weight, map_set_of
 from matcap.capture.exemplar.relief_spectrum import (
-    WIDE,
     BandEnergies,
     ReliefSpectrum,
-    filled,
     posterior_factors,
     slope_energies,
-    smoothed,
-    split,
 )
 from matcap.capture.rectified import Observation, PhotographLight, channel_weights
 from matcap.example.exemplar import Exemplar

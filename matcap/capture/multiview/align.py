@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.relief_spectrum import smoothed
+from matcap.capture.exemplar.octaves import smoothed
 from matcap.capture.multiview.shared import shared_step
 from matcap.capture.multiview.surface import integrated
 from matcap.capture.multiview.texels import (

@@ -24,7 +24,7 @@ from torch import Tensor
 from matcap.brdf.cook_torrance import ALBEDO, ROUGH
 from matcap.brdf.cook_torrance import F0 as LOG_F0
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.relief_spectrum import filled, smoothed
+from matcap.capture.exemplar.octaves import filled, smoothed
 from matcap.capture.multiview.align import Aligned
 from matcap.capture.multiview.surface import integrated
 from matcap.capture.multiview.texels import SLOPES, Estimate, maps_of, parameters_of, slopes_of

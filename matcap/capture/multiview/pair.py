@@ -24,14 +24,11 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO
 from matcap.brdf.maps import MapSet
+from matcap.capture.exemplar.octaves import BANDS, local_mean, smoothed, split
 from matcap.capture.exemplar.relief_spectrum import (
-    BANDS,
     RESPONSE_AROUND,
     equalise,
-    local_mean,
     measure_relief_spectrum,
-    smoothed,
-    split,
 )
 from matcap.capture.multiview.texels import OTHER_SLOPES, SLOPES, derivatives
 from matcap.capture.multiview.views import (

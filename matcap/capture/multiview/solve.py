@@ -22,7 +22,7 @@ from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO, F0, ROUGH
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.relief_spectrum import smoothed
+from matcap.capture.exemplar.octaves import smoothed
 from matcap.capture.multiview.pair import scaled_by_ratio, with_ambient_gradient
 from matcap.capture.multiview.shared import SAMPLED, shared_step
 from matcap.capture.multiview.surface import (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.heights import integrate, poisson
-from matcap.capture.exemplar.relief_spectrum import BANDS, smoothed, split, split_all
+from matcap.capture.exemplar.octaves import BANDS, smoothed, split, split_all
 from matcap.capture.multiview.texels import slopes_of
 from matcap.flash.least_squares import conjugate_gradients
 

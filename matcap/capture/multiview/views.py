@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.maps import by_slopes
-from matcap.capture.exemplar.relief_spectrum import local_mean
+from matcap.capture.exemplar.octaves import local_mean
 from matcap.capture.registration.camera import (
     Doubles,
     PosedCamera,

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from matcap.capture.exemplar.estimate import ExemplarEstimate
 from matcap.capture.exemplar.mean_parameters import BOUND
+from matcap.capture.exemplar.octaves import filled
 from matcap.capture.exemplar.refine import LEAST_SHARE, MIRRORED
-from matcap.capture.exemplar.relief_spectrum import filled
 from matcap.capture.rectified import Rectified
 from matcap.example.example import Example, coarse_places, detail_bits
 from matcap.example.exemplar import Exemplar

@@ -17,17 +17,15 @@ from typer.testing import CliRunner
 
 from matcap.capture.exemplar.estimate import measured_spectrum, scaled_to_spectrum
 from matcap.capture.exemplar.network.network import load_inverse, network_inputs
+from matcap.capture.exemplar.octaves import BANDS, filled, split
 from matcap.capture.exemplar.predict import predict_maps
 from matcap.capture.exemplar.relief_spectrum import (
-    BANDS,
     DIRECTIONS,
     ReliefSpectrum,
     equalise,
-    filled,
     measure_relief_spectrum,
     slope_energies,
     slope_spectrum,
-    split,
     undrawn_factors,
 )
 from matcap.capture.rectified import Observation

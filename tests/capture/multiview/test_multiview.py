@@ -14,8 +14,8 @@ from seen_views import LOG_ERROR, OFFSET, PHONE, SIZE, flattened, grainy, photog
 from simulated.photographs import Hand, hold
 
 from matcap.capture.exemplar.estimate import estimate_exemplar
+from matcap.capture.exemplar.octaves import split
 from matcap.capture.exemplar.predict import map_set_of
-from matcap.capture.exemplar.relief_spectrum import split
 from matcap.capture.multiview import estimate
 from matcap.capture.multiview.mosaic import Mosaic
 from matcap.capture.multiview.set_report import (
