@@ -217,9 +217,7 @@ def build_index(
     bits, coarsest = grid_bits(count - 1), project(grids[-1], bases[-1])
     outstanding = _outstanding(candidates, penalty < _KNOWN)
     if lattice is None:
-        at = min(_STAINED, count - 1)
-        stains = _stains(grids[at], grid_bits(at), penalty < _MOST)
-        penalty = np.maximum(penalty, _DOUBTFUL * stains)
+        penalty = np.maximum(penalty, _DOUBTFUL * _stains(grids, penalty < _MOST))
     penalty = np.maximum(penalty, _MARK * outstanding)
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
@@ -281,20 +279,21 @@ def _outstanding(candidates: list[Candidates], known: NDArray[np.bool_]) -> NDAr
     return np.asarray(cv2.dilate((rarity > least).astype(np.uint8), cross) > 0)
 
 
-def _stains(features: FeatureMap, bits: int, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _stains(levels: list[FeatureMap], known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Stains and rings that fit into a patch: like others, but the eye sees that they recur.
 
     Longer features, such as veins, are none. (rows, columns) on the grid of placement costs.
 
     Args:
-        features: (PLANES, H, W) of a level.
-        bits: log2 of their step in texels.
+        levels: (PLANES, H, W) features of each, finest first.
         known: (rows, columns) squares that the photograph shows.
     """
     import cv2  # takes a tenth of a second, which synthesis is spared
 
     if not known.any():
         return np.zeros_like(known)
+    level = min(_STAINED, len(levels) - 1)
+    features, bits = levels[level], grid_bits(level)
     size = features.shape[:0:-1]
     seen = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
     departure = np.zeros_like(seen)
