@@ -2,8 +2,8 @@
 # threejs-materials saves glTF whose one roughness is squared where metalness has a map, and the reverse.
 #
 # Behaviour: PbrProperties.save_gltf and to_gltf pack a metalness map and the constant roughness into one
-# texture, and write the constant as roughnessFactor too; glTF multiplies both. A roughness of 0.4 beside a
-# metalness map is 0.16, a metalness of 0.5 beside a roughness map 0.25. Without a map, or with two, values
+# texture, and write the constant as roughnessFactor too; glTF multiplies both. A roughness of 0.4 with a
+# metalness map is 0.16, a metalness of 0.5 with a roughness map 0.25. Without a map, or with two, values
 # are kept. texture_average_color averages sRGB codes and decodes the mean: half black, half white is 0.21.
 # Why it matters: a satin metal is nearly a mirror in the saved file, and is right in three.js itself.
 # Seen on 2026-12-01:

@@ -36,6 +36,7 @@ from matcap_lab.measures.evaluator import (
     highlight_contrast,
     mirrored_scene,
 )
+from matcap_lab.measures.nsd import SqueezeNetStyle
 from matcap_lab.simulate.files import PHONE, write_jpeg
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise, take
 from matcap_lab.simulate.specimen import Specimen, phone_cone, subjects
@@ -89,7 +90,7 @@ def relit(
     """Pictures of captures and of the truth under mirrored lights; NSD and contrast over true."""
     setup = subject.take(CAMERA).setup
     compared = EvaluationSettings(DETAIL, SIDE, CAMERA, truths=2, finer=2)
-    evaluator = Evaluator(subject, setup, compared, {"NSD": compared.squeezenet})
+    evaluator = Evaluator(subject, setup, compared, {"NSD": SqueezeNetStyle()})
     scene = mirrored_scene(setup)
     true = [math.log(highlight_contrast(piece, scene)) for piece in evaluator.truths]
     rows, numbers = [], {}

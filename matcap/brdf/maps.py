@@ -138,7 +138,8 @@ class MapSet:
         return normals_from_height(self.height, self.texel_size, periodic=self.periodic)
 
     def normals_of(self, rows: slice) -> Tensor:
-        """(3, rows, W) some rows of `normal`, which takes five times its memory to compute."""
+        """(3, rows, W) some rows of `normal`; all at once take five times their memory."""
+        rows = slice(*rows.indices(self.size[1])[:2])
         if self.painted is not None:
             return self.painted[..., rows, :]
         return normals_of_rows(self.height, self.texel_size, rows, periodic=self.periodic)

@@ -216,9 +216,8 @@ def build_index(
     bases, candidates = [basis for basis, _ in levels], [each for _, each in levels]
     bits, coarsest = grid_bits(count - 1), project(grids[-1], bases[-1])
     outstanding = _outstanding(candidates, penalty < _KNOWN)
-    if lattice is None:
-        penalty = np.maximum(penalty, _DOUBTFUL * _stains(grids, penalty < _MOST))
-    penalty = np.maximum(penalty, _MARK * outstanding)
+    stains = np.zeros_like(outstanding) if lattice else _stains(grids, penalty < _MOST)
+    penalty = np.maximum(penalty, np.maximum(_MARK * outstanding, _DOUBTFUL * stains))
     places = [
         (np.stack([one.columns, one.rows], axis=-1) << similar_bits(level)).astype(np.int16)
         for level, one in enumerate(candidates)
@@ -229,7 +228,7 @@ def build_index(
         tuple(places),
         penalty.astype(np.uint8),
         lattice,
-        round(float(outstanding.mean()), 4),
+        round(float((outstanding | stains).mean()), 4),
         part=part,
         rule=RULE if one_light else 1,
         aspect=1.0 if lattice else grain_aspect(coarsest, frame_of(count - 1, shown), bits),
@@ -296,14 +295,18 @@ def _stains(levels: list[FeatureMap], known: NDArray[np.bool_]) -> NDArray[np.bo
     features, bits = levels[level], grid_bits(level)
     size = features.shape[:0:-1]
     seen = cv2.resize(known.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
-    departure = np.zeros_like(seen)
-    for plane in features[: SLOPES.start].astype(np.float32):
-        sums, weights = (
-            cv2.GaussianBlur(each, (0, 0), _AROUND / (1 << bits)) for each in (plane * seen, seen)
-        )
-        off = np.abs(plane - sums / (weights + 1e-3)) * seen
-        usual = 1.4826 * float(np.median(off[seen > 0.0])) + math.sqrt(_ALIKE) / 2.0
-        departure = np.maximum(departure, off / usual)
+    around = seen
+    for _ in range(2):  # the second time, the mean is of what does not depart: no halo of a stain
+        departure = np.zeros_like(seen)
+        for plane in features[: SLOPES.start].astype(np.float32):
+            sums, weights = (
+                cv2.GaussianBlur(each, (0, 0), _AROUND / (1 << bits))
+                for each in (plane * around, around)
+            )
+            off = np.abs(plane - sums / (weights + 1e-3)) * seen
+            usual = 1.4826 * float(np.median(off[seen > 0.0])) + math.sqrt(_ALIKE) / 2.0
+            departure = np.maximum(departure, off / usual)
+        around = seen * (departure <= _DEPARTS)
     over = (departure > _DEPARTS).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(over)
     peaks = np.zeros(count)

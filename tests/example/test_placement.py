@@ -9,13 +9,14 @@ import pytest
 from exemplars import an_example, exemplar
 
 from matcap.capture.exemplar.estimate import indexed
-from matcap.example.candidates import Frame, planes_of
+from matcap.example.candidates import Frame, choose_scale, features_of, grids_of, planes_of
 from matcap.example.example import Example
-from matcap.example.index import PENALTY_BITS, prepare
+from matcap.example.index import PENALTY_BITS, _stains, prepare
 from matcap.example.placement import (
     RULE,
     PatchNumbers,
     Placement,
+    _trend,
     evenly_sharp,
     reuse_cost,
     spread_patches,
@@ -150,6 +151,37 @@ def test_creases_in_a_few_places_are_no_trend():
     known = np.ones(squares(piece), bool)
     assert (trend_penalty(planes_of(creased), known) > 0.0).mean() < 0.1
     assert (trend_penalty(planes_of(combed()), known) > 0.0).mean() > 0.3
+
+
+def stains_of(piece):
+    planes = planes_of(piece)
+    levels = grids_of(features_of(planes, choose_scale(planes)), 5)
+    return _stains(levels, np.ones(squares(piece), bool))
+
+
+@pytest.mark.parametrize("size", [40, 64, 96])
+def test_stains_that_fit_into_a_patch_are_left_out_with_nothing_around(size):
+    random, (y, x) = np.random.default_rng(4), np.mgrid[0 : SIDES[1], 0 : SIDES[0]]
+    tone = 0.3 * cv2.GaussianBlur(random.standard_normal(x.shape), (0, 0), 1.0)
+    off = np.hypot(x - 250, y - 180)
+    stained, long = tone - 1.2 * (off < size / 2), tone - 1.2 * (np.abs(y - x + 60) < 20)
+    none, stain, vein = (stains_of(drawn(texture)) for texture in (tone, stained, long))
+    step = SIDES[0] // stain.shape[1]
+    inside, outside = (
+        where[step // 2 :: step, step // 2 :: step]
+        for where in (off < size / 2 - 8, off > size / 2 + 24)
+    )
+    assert none.mean() < 0.01 and vein.mean() < 0.02
+    assert stain[inside].mean() > 0.9 and stain[outside].mean() < 0.02
+
+
+def test_a_trend_that_predicts_little_of_the_rest_costs_nothing():
+    noise = np.random.default_rng(6).standard_normal((1, 48, 64))
+    across = np.linspace(-1.0, 1.0, 64)
+    faint, strong = (
+        _trend(noise + share * across, np.ones((48, 64), bool), 1.0) for share in (0.45, 3.0)
+    )
+    assert np.ptp(faint) == 0.0 and np.ptp(strong) > 4.0
 
 
 def test_a_side_with_marks_of_its_own_is_shown_as_often():

@@ -88,7 +88,7 @@ class ExemplarEstimate:
     """Factor on albedo and F0 by mean_parameters.py; the flash is divided by it."""
     level_deviation: float | None = None
     """Standard deviation of the log of a dielectric's mean albedo, by that of albedo over F0
-    (CoarseFit) and the prior of F0; None of others, and if the level is given."""
+    (CoarseFit) and the prior of F0; None if any texel is metal, and if the level is given."""
     turned: bool = False
     """Whether the maps are rotated to a portrait photograph's orientation."""
     kept: TexelMask | None = None
@@ -178,7 +178,8 @@ def estimate_exemplar(
         finest=plane.size == whole.size,
     )
     coarse = observed.coarse
-    over_f0 = None if known.absolute or known.albedo is not None else coarse.level_deviation
+    stated = known.absolute or known.albedo is not None or prediction.metal.any()
+    over_f0 = None if stated else coarse.level_deviation
     with clock.stage("inpaint"):
         exemplar, copies = inpainted(
             exemplar_of(observed, prediction), observed, rectified.input_waves

@@ -213,7 +213,11 @@ def _evening(
     squares = planes.square().mean(0).numpy()
     edges = np.quantile(key[used], np.linspace(share, 1.0, _BINS + 1))
     place = np.searchsorted(edges, key)
-    count, total = (np.bincount(place[used], each, _BINS + 2) for each in (None, squares[used]))
+    here, at = squares[used], place[used]
+    # A stain is no contrast of its bin: squares count up to nine times their median.
+    medians = [np.median(here[at == n]) if (at == n).any() else 0.0 for n in range(_BINS + 2)]
+    here = np.minimum(here, 9.0 * np.array(medians)[at])
+    count, total = (np.bincount(at, each, _BINS + 2) for each in (None, here))
     variance = total / np.maximum(count, 1)
     factor = np.minimum(1.0, by_chance * np.sqrt(variance[0] / np.maximum(variance, 1e-12)))
     middle = np.array([edges[0], *(0.5 * (edges[1:] + edges[:-1]))])

@@ -137,7 +137,7 @@ _COLOUR_NOISE = 0.01  # log radiance, least standard deviation of differences of
 _MOST_TEXTURE = 0.5  # log radiance; residuals are clipped to +-this before whitening
 _LEAST_WHOLE_CELLS = 30  # least number of unclipped cells for whitening
 # Error of log albedo over F0 by what the model lacks, and the fit's residual above which it is
-# larger. With both, 69 simulated JPEGs deviate by 1.1 of the stated deviation, else by 1.7.
+# larger. With both, fits of 69 simulated JPEGs deviate by 1.14 of the deviation, else by 1.74.
 _LEVEL_ERROR, _USUAL_RESIDUAL = 0.3, 0.2
 
 # Measurements of the highlight.

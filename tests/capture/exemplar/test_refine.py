@@ -449,6 +449,18 @@ def test_chroma_of_dim_corners_is_no_stronger_than_elsewhere():
     assert np.allclose(after.mean(0), grey, atol=1e-3)
 
 
+def test_a_stain_in_a_corner_leaves_albedo_as_it_is():
+    shot, observed = in_8_bits(0.3, 4.0)
+    noise = np.random.default_rng(1).normal(0.0, 0.15, (1, 384, 512)).astype(np.float32)
+    stained = np.repeat(noise, 3, axis=0)
+    stained[:, 10:74, 10:74] -= 1.2
+    diffuse = torch.from_numpy(stained)
+    before = replace(observed.light.residuals(shot.maps), diffuse=diffuse)
+    after = evened_albedo(observed, before).diffuse.numpy()
+    assert after[:, 10:74, 10:74].mean() == pytest.approx(-1.2, rel=0.15)
+    assert after[0, -64:, -64:].std() == pytest.approx(noise[0, -64:, -64:].std(), rel=0.15)
+
+
 # White glints of coloured materials are no albedo.
 
 
