@@ -1,7 +1,7 @@
 """Stage network: the network's prediction of the maps, with errors, confidence and classes.
 
 In comes an observation (rectified.py), out go residuals of log parameters from the coarse fit
-(network/network.py), averaged over four shifts, their expected errors e, and the confidence
+(network/network.py), their expected errors e, and the confidence
 
     visibility * blur(exp(-e / unit)).
 """
@@ -68,7 +68,7 @@ class NetworkPrediction:
 
 def predict_maps(observed: Observation, network: Inverse) -> tuple[Observation, NetworkPrediction]:
     """Predict the maps; the observation's light gets the specular tint of metal."""
-    answer = NetworkAnswer.from_stacked(_shift_averaged(network, observed.inputs.stacked()))
+    answer = NetworkAnswer.from_stacked(_predicted(network, observed.inputs.stacked()))
     seen = seen_share(observed.plane.measured)
     confidence = confidence_of(answer.errors, seen, observed.plane.unit)
     confidence[0] = (confidence[0] * (1.0 - observed.specular_fraction)) ** albedo_weight(observed)
@@ -140,31 +140,16 @@ def confidence_of(
     return np.ascontiguousarray(certain * seen, dtype=np.float32)
 
 
-def _shift_averaged(network: Inverse, inputs: Tensor) -> Tensor:
-    """(ANSWERS, H, W) prediction for inputs (C, H, W) of any size.
-
-    Averaged over the four shifts of the network's grid of 2 x 2 texels, against periodic artefacts.
-    """
+def _predicted(network: Inverse, inputs: Tensor) -> Tensor:
+    """(ANSWERS, H, W) prediction for inputs (C, H, W) of any size."""
     height, width = inputs.shape[-2:]
     multiple = network.config.multiple
-    right, below = multiple - 1, multiple - 1
-    mode = "reflect" if multiple < min(height, width) else "replicate"
-    whole = F.pad(inputs[None], (1, right, 1, below), mode=mode)
+    mode = "reflect" if multiple <= min(height, width) else "replicate"
+    whole = F.pad(inputs[None], (0, -width % multiple, 0, -height % multiple), mode=mode)
     del inputs  # half a hundred megabytes, and the largest need of a capture is next
-    whole = whole.contiguous(memory_format=torch.channels_last)
-
-    def shifted(down: int, across: int) -> Tensor:
-        needed = height + down, width + across
-        rows, columns = (-(-side // multiple) * multiple for side in needed)
-        part = whole[:, :, 1 - down :, 1 - across :][..., :rows, :columns]
-        answer: Tensor = network(part)
-        return answer[0, :, down : down + height, across : across + width]
-
-    with computing(workers()):  # shifts at once would need more memory
-        total = shifted(0, 0) + 0.0
-        for down, across in ((0, 1), (1, 0), (1, 1)):
-            total += shifted(down, across)
-    return total / 4.0
+    with computing(workers()):
+        answer: Tensor = network(whole.contiguous(memory_format=torch.channels_last))
+    return answer[0, :, :height, :width]
 
 
 # Specular tint of metal: F0 over the mean of its channels.

@@ -26,21 +26,23 @@ from matcap.flash.light import FlashLight, Uniform, uniform_radiance
 
 # A U-Net from a flash photograph to log-parameter residuals from a uniform material.
 #
-# Its finest level has half the picture's resolution, with 2 x 2 texels as channels; only a narrow
-# head works at full resolution. Fully convolutional; information needed across the whole picture
-# (gloss at the rim, relief in the middle) goes through a pooled context: means of every level's
-# features, uniform and weighted by the sensitivity to slope and by gloss, scale and shift the
-# features of the decoder (FiLM [perez2018]).
+# Levels have half the picture's resolution and less, the finest with 2 x 2 texels as channels; four
+# convolutions at full resolution follow, by which little has a period of 2 texels. Fully
+# convolutional; information needed across the whole picture (gloss at the rim, relief in the
+# middle) goes through a pooled context: means of every level's features, uniform and weighted by
+# the sensitivity to slope and by gloss, scale and shift the features of the decoder (FiLM
+# [perez2018]).
 
 _WEIGHTINGS = 3  # of the context's means: uniform, by squared slope sensitivity, by gloss
 _SLOPE = 0.2  # of LeakyReLU
 _SELDOM_METAL = -3.0  # initial bias of the logit of metal
 _GROUPS = 4  # of GroupNorm
-_STRIP, _HALO = 64, 2  # rows at half the resolution of a strip, and beyond it that it reads
+_FINE = 32  # channels at full resolution
+_STRIP, _HALO = 64, 3  # rows at half the resolution of a strip, and beyond it that it reads
 
 # File of the network: weights in half precision, and a model card.
 FORMAT = "matcap-inverse"
-VERSION = 2  # of the file
+VERSION = 3  # of the file
 SHIPPED = Path(__file__).parent / "weights" / "inverse.safetensors"
 _WIDEST, _DEEPEST = 512, 8
 _REMEDY = "install matcap again, or give another file"
@@ -166,10 +168,10 @@ class Inverse(nn.Module):
         self.up = nn.ModuleList(_ResidualBlock(width, width) for width in widths[:-1])
         self.modulation = nn.ModuleList(nn.Linear(config.context, 2 * w) for w in widths[:-1])
         self.heights = nn.ModuleList(nn.Conv2d(width, 1, 3, padding=1) for width in widths[:-1])
-        fine = 16
-        self.head = nn.Conv2d(widths[0], 4 * fine, 3, padding=1)
-        self.fine = nn.Conv2d(fine + INPUTS, fine, 3, padding=1)
-        self.out = nn.Conv2d(fine, ANSWERS, 3, padding=1)
+        self.head = nn.Conv2d(widths[0], 4 * _FINE, 3, padding=1)
+        self.fine = nn.Conv2d(_FINE + INPUTS, _FINE, 3, padding=1)
+        self.finer = nn.ModuleList(nn.Conv2d(_FINE, _FINE, 3, padding=1) for _ in range(2))
+        self.out = nn.Conv2d(_FINE, ANSWERS, 3, padding=1)
         with torch.no_grad():
             for layer in (self.out, *self.heights, *self.modulation):
                 layer.weight.mul_(0.1)
@@ -233,7 +235,10 @@ class Inverse(nn.Module):
         weight, features = self.fine.weight, F.pixel_shuffle(self.head(x), 2)
         fine = F.conv2d(features, weight[:, :-INPUTS], self.fine.bias, padding=1)
         fine = fine.add_(F.conv2d(inputs, weight[:, -INPUTS:], padding=1))
-        answer: Tensor = self.out(F.leaky_relu(fine, _SLOPE, inplace=True))
+        fine = F.leaky_relu(fine, _SLOPE, inplace=True)
+        for finer in self.finer:
+            fine = fine + F.leaky_relu(finer(fine), _SLOPE, inplace=True)
+        answer: Tensor = self.out(fine)
         return answer
 
 
