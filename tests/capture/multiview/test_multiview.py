@@ -269,23 +269,30 @@ def highlight_contrasts(light, centre):
     return np.array([mean(0.0, 0.15) / mean(0.4, 0.7), mean(0.0, 0.08) / mean(0.15, 0.25)])
 
 
-def test_a_pair_keeps_the_highlight_of_glossy_tiles():
-    """In the photographed rectangle: in the field it is that of the tile at the mirror point."""
-    _, (first, second) = photographed("tile", FEWER_PIXELS, 2, 5)
-    settings = CaptureSettings(preset="instant", detail=192)
-    captured = capture_photo(first, settings, others=[second])
-    maps, setup = map_set_of(captured.estimate.first_rectangle), captured.material.setup
-    with torch.inference_mode():
-        rendered = picture_of(render_rectified(maps, setup))
-    # Not find_highlight's contrast, which is of the brightest tile: other roundings choose another.
-    mirror, most = np.array(setup.offset[:2]) / 2.0, captured.photo.headroom
-    before, after = (
-        highlight_contrasts(np.asarray(light_of(each.clip(max=most))), mirror)
-        for each in (captured.rectified, rendered)
-    )
+def test_pairs_keep_the_highlight_of_glossy_tiles():
+    """In the photographed rectangle: in the field it is that of the tile at the mirror point.
+
+    On the mean of three pairs, as that of one deviates by a tenth by its place alone.
+    """
+    logs = []
+    for seed in (5, 6, 7):
+        _, (first, second) = photographed("tile", FEWER_PIXELS, 2, seed)
+        settings = CaptureSettings(preset="instant", detail=192)
+        captured = capture_photo(first, settings, others=[second])
+        maps, setup = map_set_of(captured.estimate.first_rectangle), captured.material.setup
+        with torch.inference_mode():
+            rendered = picture_of(render_rectified(maps, setup))
+        # Not find_highlight's contrast, which is of the brightest tile: other roundings choose
+        # another.
+        mirror, most = np.array(setup.offset[:2]) / 2.0, captured.photo.headroom
+        before, after = (
+            highlight_contrasts(np.asarray(light_of(each.clip(max=most))), mirror)
+            for each in (captured.rectified, rendered)
+        )
+        assert before[0] > 2.0
+        logs.append(np.log(after / before))
     # Roughness times 1.5 or 0.67, half of F0, twice the relief and none are outside these limits.
-    assert before[0] > 2.0
-    spot, core = after / before
+    spot, core = np.exp(np.mean(logs, axis=0))
     assert 0.92 < spot < 1.2 and 0.85 < core < 1.25
 
 
