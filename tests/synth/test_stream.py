@@ -285,7 +285,7 @@ def test_cuda_that_is_not_there_is_refused(material, monkeypatch):
 
 
 def test_nothing_of_a_block_is_left_on_the_processor(wavy):
-    """A device without memory stands for CUDA: it refuses operands that lie elsewhere."""
+    """A device without memory, in place of CUDA, refuses operands that lie elsewhere."""
     source = wavy.generator.source(1, device=torch.device("meta"))
     maps = source.maps(Rectangle(0, 0, 64, 32))
     assert (maps.device.type, maps.shape, maps.dtype) == ("meta", (6, 34, 66), torch.float32)

@@ -354,7 +354,7 @@ def test_a_network_is_judged(sample: Sample) -> None:
 
 
 def test_a_step_stays_on_its_device() -> None:
-    """A device without memory stands for CUDA: it refuses operands that lie elsewhere."""
+    """A device without memory, in place of CUDA, refuses operands that lie elsewhere."""
     sample, settings = draw_sample(2, 64, 64), TrainSettings(device="meta")
     training = start(TINY, settings)
     loss, parts = step_loss(training.model, 0, [(sample.inputs, sample)], settings)
