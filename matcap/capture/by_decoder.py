@@ -117,7 +117,7 @@ def capture_by_decoder(
     material = decoder.material(photo.stem, coarse.setup, about)
     if tuned.history and effort.matched:
         with clock.completed("matching"):
-            material = match_photograph(material, plane, settings.seed)
+            material, _ = match_photograph(material, plane, settings.seed)
     if estimate is None and settings.aligned:
         with postponed() as stopped:
             estimate = estimated(CaptureClock(None))
@@ -197,13 +197,11 @@ def with_decoder(
         effort: steps and windows.
     """
     try:
-        tuned, tuning, target, plane = _tuned(result, rectified, effort, clock)
+        (tuned, decoded), tuning, target, plane = _tuned(result, rectified, effort, clock)
         with clock.stage("choice"):
             generators = {**result.material.generators, "decoder": tuned}
             both = replace(result.material, generators=generators)
-            turned, size = tuned.turned, plane.size[::-1] if tuned.turned else plane.size
-            decoded = both.by("decoder").maps(*size, seed=result.settings.seed)
-            one, other = (maps.turned(1) if turned else maps for maps in (result.maps, decoded))
+            one, other = (maps.turned(int(tuned.turned)) for maps in (result.maps, decoded))
             choice = replace(choose(one, other, target, plane), decoded=decoded)
     except KeyboardInterrupt:
         clock.status = RunStatus.INTERRUPTED
@@ -215,8 +213,11 @@ def with_decoder(
 
 def _tuned(
     result: CaptureResult, rectified: Rectified, effort: Effort, clock: CaptureClock
-) -> tuple[TunedDecoder, Tuning, PhotographTarget, Plane]:
-    """The decoder, upright as the material, the course of fine-tuning, and what it was tuned to."""
+) -> tuple[tuple[TunedDecoder, MapSet], Tuning, PhotographTarget, Plane]:
+    """The decoder and maps of its field, as large as the photograph; both upright as the material.
+
+    And the course of fine-tuning, and what it was tuned to.
+    """
     estimate, settings, latent = result.estimate, result.settings, result.material.latent
     assert estimate is not None and latent is not None
     with clock.stage("statistics"):
@@ -240,11 +241,12 @@ def _tuned(
     target = replace(target, drawing=drawing)
     decoder, course = tuned_decoder(plane.texel_size, start, target, tune, clock, unit)
     with clock.stage("matching"):
-        matched = match_photograph(decoder.material("", coarse.setup), plane, settings.seed)
-        part = matched.part(TunedDecoder)
+        decoder = replace(decoder, texel_size=drawing.texel_size)
+        upright = replace(coarse.setup, turned=drawing.turned)
+        material, maps = match_photograph(decoder.material("", upright), plane, settings.seed)
+        part = material.part(TunedDecoder)
         assert part is not None
-    decoder = replace(part, turned=drawing.turned, texel_size=drawing.texel_size)
-    return decoder, Tuning(course.history, unit, drawing=True), target, plane
+    return (part, maps), Tuning(course.history, unit, drawing=True), target, plane
 
 
 def _drawing(rectified: Rectified, material: Material) -> Drawing:

@@ -439,72 +439,87 @@ class Correction:
     shift: Tensor
     """(3,) added to the mean of diffuse albedo, in logits."""
 
+    def maps(self, maps: MapSet, mean: Tensor) -> MapSet:
+        """Corrected maps; `mean` (OUTPUTS,) is of the raw outputs."""
+        mean, shift = mean[_DIFFUSE, None, None], self.shift[:, None, None]
+        logit = torch.logit(maps.diffuse, eps=_ALBEDO_EPSILON)
+        diffuse = torch.sigmoid(mean + shift + self.gain * (logit - mean))
+        return replace(maps, diffuse=diffuse, height=self.gain * maps.height)
 
-def match_photograph(material: Material, plane: Plane, seed: int = 0) -> Material:
+    def decoder(self, tuned: TunedDecoder) -> TunedDecoder:
+        """A copy of a decoder whose field has the corrected maps."""
+        decoder = copy.deepcopy(tuned.decoder)
+        affine = decoder.head.adain.affine
+        with torch.no_grad():
+            mean, deviation = affine.bias.split(OUTPUTS)
+            _, slope = affine.weight.split(OUTPUTS)
+            mean[_DIFFUSE] += self.shift
+            for rows in (_DIFFUSE, _HEIGHT):
+                deviation[rows] *= self.gain
+                slope[rows] *= self.gain
+        return replace(tuned, decoder=decoder)
+
+
+def match_photograph(material: Material, plane: Plane, seed: int = 0) -> tuple[Material, MapSet]:
     """Correct a material's mean and contrast to those of the photograph.
 
     Args:
         material: fine-tuned to the photograph.
-        plane: the photograph; its noise, if known, is added to the rendering.
+        plane: the photograph, lying; its noise, if known, is added to the rendering.
         seed: of the realisation that is compared.
+
+    Returns:
+        The material; and that realisation's corrected maps, as large as the photograph and
+        upright, but for their mean height.
 
     Raises:
         UsageError: the material has no decoder.
     """
-    step = correction(material, plane, seed)
-    tuned = _tuned(material)
-    decoder = copy.deepcopy(tuned.decoder)
-    affine = decoder.head.adain.affine
-    with torch.no_grad():
-        mean, deviation = affine.bias.split(OUTPUTS)
-        _, slope = affine.weight.split(OUTPUTS)
-        mean[_DIFFUSE] += step.shift
-        for rows in (_DIFFUSE, _HEIGHT):
-            deviation[rows] *= step.gain
-            slope[rows] *= step.gain
-    return replace(material, generators={"decoder": replace(tuned, decoder=decoder)})
+    tuned = material.part(TunedDecoder)
+    if tuned is None:
+        raise lacking(material.name, "decoder")
+    maps = material.maps(*(plane.size[::-1] if tuned.turned else plane.size), seed=seed)
+    mean, _ = tuned.decoder.head.adain.target(tuned.code)
+    with torch.inference_mode():
+        lying = maps.turned(1) if tuned.turned else maps
+        by = correction(lying, mean, replace(material.setup, turned=False), plane)
+        matched = replace(material, generators={"decoder": by.decoder(tuned)})
+        return matched, by.maps(maps, mean)
 
 
-def correction(material: Material, plane: Plane, seed: int) -> Correction:
-    """The correction that match_photograph applies.
+def correction(maps: MapSet, mean: Tensor, setup: FlashSetup, plane: Plane) -> Correction:
+    """The correction of maps to a photograph of their size.
 
     Identity where less than _LEAST_COMPARED of the photograph can be compared.
+
+    Args:
+        maps: of a decoder's field.
+        mean: (OUTPUTS,) of its raw outputs.
+        setup: camera and flash of the photograph.
     """
     width, height = plane.size
     points = plane_points(0, 0, width, height, (width, height), dtype=torch.float32)
     true = plane.encoding.log(plane.linear[None])
     contrast = _contrast(true)
     hiss = None if plane.noise is None else plane.noise / shot_deviation(plane.linear)
-    with torch.inference_mode():
-        tuned = _tuned(material)
-        middle, _ = tuned.decoder.head.adain.target(tuned.code)
-        maps = material.maps(width, height, seed=seed)
-        logit = torch.logit(maps.diffuse, eps=_ALBEDO_EPSILON)
-        moved, share = Correction(1.0, torch.zeros(3)), None
-        for _ in range(_ROUNDS):
-            now = _moved(maps, logit, middle[_DIFFUSE], moved)
-            clean = render_flash(now, material.setup, points)
-            if share is None:
-                share = _diffuse_share(now, clean, material, points)
-            seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
-            bright = torch.maximum(plane.linear.amax(0), seen.amax(0))
-            compared = plane.valid & (bright < _CLIPPED * plane.encoding.limit)
-            if float(compared.float().mean()) < _LEAST_COMPARED:
-                break
-            log = plane.encoding.log(seen[None])
-            blocks = _Blocks(compared)
-            moved = Correction(
-                _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), _GAIN),
-                _shift((true - log)[0], share, moved.shift, blocks).clamp(-_SHIFT, _SHIFT),
-            )
+    moved, share = Correction(1.0, torch.zeros(3)), None
+    for _ in range(_ROUNDS):
+        now = moved.maps(maps, mean)
+        clean = render_flash(now, setup, points)
+        if share is None:
+            share = _diffuse_share(now, clean, setup, points)
+        seen = clean if hiss is None else clean + hiss * shot_deviation(clean)
+        bright = torch.maximum(plane.linear.amax(0), seen.amax(0))
+        compared = plane.valid & (bright < _CLIPPED * plane.encoding.limit)
+        if float(compared.float().mean()) < _LEAST_COMPARED:
+            break
+        log = plane.encoding.log(seen[None])
+        blocks = _Blocks(compared)
+        moved = Correction(
+            _bounded(moved.gain * _gain(contrast, _contrast(log), blocks), _GAIN),
+            _shift((true - log)[0], share, moved.shift, blocks).clamp(-_SHIFT, _SHIFT),
+        )
     return moved
-
-
-def _tuned(material: Material) -> TunedDecoder:
-    tuned = material.part(TunedDecoder)
-    if tuned is None:
-        raise lacking(material.name, "decoder")
-    return tuned
 
 
 class _Blocks:
@@ -521,22 +536,15 @@ class _Blocks:
         return F.avg_pool2d(seen, self._size) / self.weight.clamp_min(1e-3)
 
 
-def _moved(maps: MapSet, logit: Tensor, middle: Tensor, by: Correction) -> MapSet:
-    """Apply a correction to maps; `logit` and `middle` are logits of diffuse albedo, their mean."""
-    middle, shift = middle[:, None, None], by.shift[:, None, None]
-    diffuse = torch.sigmoid(middle + shift + by.gain * (logit - middle))
-    return replace(maps, diffuse=diffuse, height=by.gain * maps.height)
-
-
 def _contrast(log: Tensor) -> Tensor:
     """(3, H, W) squared difference of log radiance (1, 3, H, W) from its shading."""
     return (log - shading(log))[0].square()
 
 
-def _diffuse_share(maps: MapSet, rendered: Tensor, material: Material, points: Tensor) -> Tensor:
+def _diffuse_share(maps: MapSet, rendered: Tensor, setup: FlashSetup, points: Tensor) -> Tensor:
     """(3, H, W) derivative of log radiance by the logit of diffuse albedo, in [0, 1]."""
     black = replace(maps, diffuse=torch.zeros_like(maps.diffuse))
-    glossy = render_flash(black, material.setup, points)
+    glossy = render_flash(black, setup, points)
     share = (rendered - glossy) / rendered.clamp_min(1e-6)
     return share.clamp(0.0, 1.0) * (1.0 - maps.diffuse)
 

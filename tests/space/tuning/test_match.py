@@ -70,8 +70,12 @@ def spoilt(material, gain, shift):
     return tuned.material(material.name, material.setup)
 
 
-def found(material, photo, valid=VALID, noise=None):
-    return correction(material, plane_of(photo, valid, noise), seed=0)
+def found(material, photo, valid=VALID, noise=None, setup=SETUP):
+    mean, _ = network(material).head.adain.target(CODE)
+    turned = int(material.setup.turned)
+    maps = material.maps(*((HEIGHT, WIDTH) if turned else (WIDTH, HEIGHT)), seed=0).turned(turned)
+    with torch.inference_mode():
+        return correction(maps, mean, setup, plane_of(photo, valid, noise))
 
 
 def test_a_matching_material_is_unchanged(truth, photo):
@@ -89,7 +93,7 @@ def test_contrast_and_mean_are_recovered(truth, photo, gain):
 
 def test_the_matched_material_looks_like_the_photograph(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
-    matched = match_photograph(wrong, plane_of(photo, VALID))
+    matched, _ = match_photograph(wrong, plane_of(photo, VALID))
 
     def values(picture):
         log = picture.log()
@@ -110,25 +114,30 @@ def test_the_matched_material_looks_like_the_photograph(truth, photo):
 def test_gloss_and_the_given_material_are_unchanged(truth, photo):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
     before = copy.deepcopy(network(wrong).state_dict())
-    matched = match_photograph(wrong, plane_of(photo, VALID))
+    matched, _ = match_photograph(wrong, plane_of(photo, VALID))
     assert all(torch.equal(v, before[k]) for k, v in network(wrong).state_dict().items())
     old, new = (m.maps(64, 64) for m in (wrong, matched))
     assert torch.equal(old.specular, new.specular) and torch.equal(old.roughness, new.roughness)
     assert not torch.allclose(old.diffuse, new.diffuse, atol=0.01)
 
 
-def test_the_matched_material_has_the_compared_maps(truth, photo):
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_matched_material_has_the_compared_maps(truth, photo, turned):
     wrong = spoilt(truth, 0.7, SHIFT.tolist())
-    moved = found(wrong, photo)
-    old = wrong.maps(64, 64)
-    new = match_photograph(wrong, plane_of(photo, VALID)).maps(64, 64)
+    size = (HEIGHT, WIDTH) if turned else (WIDTH, HEIGHT)
+    wrong = wrong.part(TunedDecoder).material("", replace(SETUP, turned=turned))
+    moved, old = found(wrong, photo), wrong.maps(*size)
+    matched, maps = match_photograph(wrong, plane_of(photo, VALID))
+    assert maps.size == size
+    new = matched.maps(*size)
+    torch.testing.assert_close(maps.diffuse, new.diffuse, atol=1e-4, rtol=0.0)
     middle = network(wrong).head.adain.target(CODE)[0][:3, None, None]
     logit = middle + moved.gain * (old.diffuse.logit() - middle) + moved.shift[:, None, None]
-    torch.testing.assert_close(new.diffuse, torch.sigmoid(logit), atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(new.diffuse, torch.sigmoid(logit), atol=2e-3, rtol=0.0)
     # The relief's mean, which nothing shows, may move.
-    relief = new.height - new.height.mean()
-    old_relief = old.height - old.height.mean()
-    torch.testing.assert_close(relief, moved.gain * old_relief, atol=1e-5, rtol=0.0)
+    for height in (new.height, moved.gain * old.height):
+        relief = maps.height - maps.height.mean()
+        torch.testing.assert_close(relief, height - height.mean(), atol=2e-3, rtol=0.0)
 
 
 def test_sensor_noise_is_not_matched_as_contrast(truth, photo):
@@ -170,14 +179,12 @@ def test_blocks_count_by_their_share_of_diffuse_light():
 def test_without_valid_windows_nothing_changes(truth, photo, unseen):
     valid = torch.zeros_like(VALID) if unseen == "invalid" else VALID
     picture = photo if unseen == "invalid" else torch.ones_like(photo)
-    plane = Plane(picture, valid, None, fit_encoding(photo, VALID))
-    nothing = correction(truth, plane, seed=0)
+    nothing = found(truth, picture, valid)
     assert nothing.gain == 1.0 and not nothing.shift.any()
 
 
 def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
-    far = replace(truth, setup=SETUP.with_intensity((1e38,) * 3))
-    nothing = found(far, photo)
+    nothing = found(truth, photo, setup=SETUP.with_intensity((1e38,) * 3))
     assert nothing.gain == 1.0 and not nothing.shift.any()
 
 
@@ -193,7 +200,7 @@ def test_a_render_that_is_not_finite_changes_nothing(truth, photo):
 def test_corrections_are_bounded_and_finite(truth, picture):
     far = found(truth, picture)
     assert 0.6 <= far.gain <= 1.7 and far.shift.abs().max() <= 1.0
-    matched = match_photograph(truth, plane_of(picture, VALID))
+    matched, _ = match_photograph(truth, plane_of(picture, VALID))
     assert matched.maps(32, 32).stacked().isfinite().all()
 
 
