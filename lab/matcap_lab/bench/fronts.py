@@ -36,7 +36,7 @@ from matcap_lab.experiment.runner import Configuration, Experiment, choose
 from matcap_lab.measures.evaluator import EvaluationSettings, Evaluator
 from matcap_lab.measures.nsd import SqueezeNetStyle
 from matcap_lab.measures.style import Patches, RandomFilters, Style
-from matcap_lab.simulate.hand_held import PhonePhotographs
+from matcap_lab.simulate.hand_held import FORMS, PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen, subjects
 
@@ -76,10 +76,16 @@ class Way:
     pixels: int = _CAMERA.width
     """Width of the photographs."""
 
+    form: str = "DNG"
+    """Form of the files, of FORMS (simulate/hand_held.py)."""
+
 
 _EXEMPLAR, _DECODER = ("--generator", "example", "--detail"), ("--generator", "decoder", "--steps")
 WAYS: Mapping[str, Way] = {
     **{f"{n} texels": Way("one photograph", (*_EXEMPLAR, f"{n}")) for n in (256, 512, 1024)},
+    "default": Way("default"),
+    **{f"1024 texels, {form}": Way("files", (*_EXEMPLAR, "1024"), form=form) for form in FORMS[1:]},
+    "default, JPEG": Way("default", form="JPEG"),
     **{
         f"{n} texels, {count} photographs": Way(
             "several", ("--detail", f"{n}", "--together"), count
@@ -164,8 +170,8 @@ class FrontSubject:
     """Photographs of a material at one resolution, and true samples (evaluators)."""
 
     name: str
-    paths: Sequence[Path]
-    """Photographs of one sample."""
+    paths: Mapping[str, Sequence[Path]]
+    """Photographs of one sample, by form."""
 
     evaluator: Evaluator
     fine: Evaluator
@@ -279,7 +285,7 @@ def _photographed(specimen: Specimen, bench: Fronts, count: int, pixels: int) ->
     )
     evaluator = Evaluator(taken.specimen, flash, settings, styles)
     fine = Evaluator(taken.specimen, flash, finer, styles)
-    return FrontSubject(specimen.name, paths, evaluator, fine, _inspected(paths[0]))
+    return FrontSubject(specimen.name, paths, evaluator, fine, _inspected(paths["DNG"][0]))
 
 
 def _inspected(photograph: Path) -> str:
@@ -293,7 +299,7 @@ def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcom
     """Photograph the material, run a configuration's command and read its output."""
     photographed = at(way.pixels)
     with tempfile.TemporaryDirectory(dir=out) as folder:
-        used = command_spent(command_of(name, photographed.paths, Path(folder), seed))
+        used = command_spent(command_of(name, photographed.paths[way.form], Path(folder), seed))
         path = next(Path(folder).rglob("*.matcap"), None)
         if path is None:
             raise MatcapError("the command wrote no material", remedy="run it to see why")
@@ -307,7 +313,7 @@ def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcom
 def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) -> list[str]:
     """Command line of a configuration that writes into a folder."""
     way = WAYS[name]
-    given = [str(path) for path in photographs[: way.photographs]]
+    given = [str(path) for path in photographs[: way.photographs if way.form == "DNG" else None]]
     common = ["--quiet", "--seed", str(seed), "--out", str(folder)]
     return [sys.executable, "-c", _CAPTURE, "capture", *given, *way.options, *common]
 

@@ -11,6 +11,7 @@ import struct
 from fractions import Fraction
 from pathlib import Path
 
+import cv2
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from PIL.TiffImagePlugin import IFDRational
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
 from matcap.photo.photo import ToneCurve
-from matcap_lab.simulate.photograph import PhoneCamera, Shot, expose, sensor_noise
+from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
 REC709_TO_XYZ = np.array(
@@ -204,19 +205,32 @@ def _exif_directory(shot: Shot, where: int, order: str) -> bytes:
 # x^1.3 / (x^1.3 + 0.8^1.3), scaled to 1 at 1.
 PHONE = ToneCurve(1.3, 1.0 / (1.0 + 0.8**1.3))
 _QUALITY = 95
+_STOPS = 2  # above white, the most that a gain map holds
+_XMP = (  # of Ultra HDR; GainMapMax and HDRCapacityMax in stops
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
+    b'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
+    b'xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/" hdrgm:Version="1.0"%b/>'
+    b"</rdf:RDF></x:xmpmeta>"
+)
+_NUMBERS = (
+    b' hdrgm:OffsetSDR="0" hdrgm:OffsetHDR="0" hdrgm:GainMapMax="%d" hdrgm:HDRCapacityMax="%d"'
+)
 
 
-def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None) -> None:
+def write_jpeg(
+    path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None, *, hdr: bool = False
+) -> None:
     """Write a shot as a JPEG of quality 95 with the noise of a seed; see write_dng.
 
-    The tone curve is only sRGB's encoding by default.
+    The tone curve is only sRGB's encoding by default. `hdr` adds an HDR gain map (Ultra HDR
+    1.1): light up to two stops above white, in one channel at a quarter of the resolution.
 
     Raises:
         MatcapError: the file cannot be written.
     """
-    linear = expose(shot, seed).astype(np.float32)
-    code = srgb_picture((tone or ToneCurve()).developed(linear))
-    picture = Image.fromarray(np.round(code * 255.0).astype(np.uint8))
+    light = sensor_noise(shot.linear, shot.camera, seed).clip(0.0, None)
+    shown = (tone or ToneCurve()).developed(light.clip(None, 1.0).astype(np.float32))
+    picture = Image.fromarray(np.round(srgb_picture(shown) * 255.0).astype(np.uint8))
     exif = Image.Exif()
     exif.update({271: "matcap", 272: "simulated phone", 274: 1})
     exif.get_ifd(_EXIF_IFD).update(
@@ -225,5 +239,14 @@ def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None)
             for number, value in exif_of(shot).items()
         }
     )
+    stated = {"xmp": _XMP % b""} if hdr else {}
     with Output.file(path) as file:
-        picture.save(file, format="JPEG", quality=_QUALITY, exif=exif)
+        picture.save(file, format="JPEG", quality=_QUALITY, exif=exif, **stated)
+        if hdr:
+            stops = np.log2(light.max(axis=-1).clip(1.0, 2.0**_STOPS)).astype(np.float32)
+            size = (picture.width // 4, picture.height // 4)
+            small = cv2.resize(stops, size, interpolation=cv2.INTER_AREA)
+            codes = Image.fromarray(np.round(255.0 / _STOPS * small).astype(np.uint8))
+            with file.open("ab") as stream:
+                numbers = _NUMBERS % (_STOPS, _STOPS)
+                codes.save(stream, format="JPEG", quality=_QUALITY, xmp=_XMP % numbers)

@@ -24,6 +24,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
 from matcap.flash.geometry import OWN, Extent, FlashSetup
 from matcap.flash.light import CORNER_SQUARED, shade
+from matcap_lab.simulate.files import PHONE, write_jpeg
 from matcap_lab.simulate.photograph import (
     PhoneCamera,
     Realise,
@@ -341,6 +342,7 @@ _CLIPPED = ((0.0, 0.5, 0.75, 0.95, 1.0), (0.0, 0.0, 5e-4, 0.01, 0.02))  # shares
 _TILT = 0.032  # radians: deviation about either axis
 _FLASH = ((0.01, 0.04), (0.08, 0.045))  # plane units: mean and deviation, across and up
 _DISTANCE = math.log(2.0) / 2.0  # 20 to 40 cm, about their geometric mean
+FORMS = ("DNG", "JPEG", "JPEG, two exposures", "JPEG, gain map")
 _DRAWN = 42  # seed of the draws, together with a material's name
 
 
@@ -372,26 +374,35 @@ class PhonePhotographs:
             (tilt_x, tilt_y),
         )
 
-    def take(self, count: int, out: Path) -> tuple[list[Path], FlashSetup]:
-        """Paths of `count` DNGs and the first one's true setup; taken anew if any is missing.
+    def take(self, count: int, out: Path) -> tuple[dict[str, list[Path]], FlashSetup]:
+        """Files by form, a key of FORMS, and the first one's true setup; not taken twice.
+
+        `count` DNGs; and the first photograph as a JPEG, as two of which the second is two stops
+        darker, and as one with an HDR gain map.
 
         Raises:
             MatcapError: the folder cannot be written.
         """
         subject = self.specimen
-        paths = [subject.path(out, number) for number in range(count)]
+        raw = [subject.path(out, number) for number in range(count)]
+        bright, dark, above = (out / f"{name}.jpg" for name in ("bright", "dark", "gain_map"))
         sidecar = out / "setup.json"
-        if not all(path.exists() for path in (sidecar, *paths)):
+        if not all(path.exists() for path in (sidecar, *raw, bright, dark, above)):
             cameras = hold(self.phone, self.hand, count, subject.seed)
             first = FlashSetup(fov=self.phone.fov, tilt=self.tilt)
             cameras[0] = PosedCamera.of(first, self.hand.bent)
             shots = take_several(subject.realise, self.phone, cameras, self.hand, subject.seed)
             for number, shot in enumerate(shots):
                 subject.write(shot, out, number)
+            write_jpeg(bright, shots[0], subject.seed, PHONE)
+            write_jpeg(above, shots[0], subject.seed, PHONE, hdr=True)
+            less = replace(shots[0], linear=shots[0].linear / 4, exposure=shots[0].exposure / 4)
+            write_jpeg(dark, less, subject.seed + 1, PHONE)
             sidecar.write_text(json.dumps({"intensity": shots[0].setup.intensity}))
         red, green, blue = json.loads(sidecar.read_text())["intensity"]
         setup = FlashSetup(fov=self.phone.fov, offset=self.hand.flash, tilt=self.tilt)
-        return paths, setup.with_intensity((red, green, blue))
+        files = dict(zip(FORMS, (raw, [bright], [bright, dark], [above]), strict=True))
+        return files, setup.with_intensity((red, green, blue))
 
 
 def _from_further(

@@ -105,6 +105,8 @@ def test_a_command_line_has_its_photographs_and_options(tmp_path):
     command = command_of("512 texels, 3 photographs", photographs, tmp_path, 7)
     assert command[3:7] == ["capture", *map(str, photographs[:3])]
     assert "--together" in command and command[command.index("--seed") + 1] == "7"
+    command = command_of("1024 texels, JPEG, two exposures", photographs[:2], tmp_path, 0)
+    assert command[4:6] == [*map(str, photographs[:2])] and "--together" not in command
 
 
 def test_memory_is_the_command_s_and_not_the_bench_s(capfd):

@@ -25,7 +25,7 @@ from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
 from matcap.photo.load import load_photo
 from matcap_lab.simulate.files import gain_map, write_dng, write_jpeg
-from matcap_lab.simulate.hand_held import PhonePhotographs
+from matcap_lab.simulate.hand_held import FORMS, PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, as_photo, expose, take, true_maps
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen, map_set_folders, read_map_set
 
@@ -178,16 +178,29 @@ def test_from_further_away_slopes_stay_and_more_is_seen():
 
 def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
     held = PhonePhotographs.of(EXAMPLES["plaster"], SMALL)
-    paths, setup = held.take(2, tmp_path)
-    assert [path.name for path in paths] == ["plaster_0.dng", "plaster_1.dng"]
-    written = paths[0].stat().st_mtime_ns
+    files, setup = held.take(2, tmp_path)
+    assert tuple(files) == FORMS
+    assert [path.name for path in files["DNG"]] == ["plaster_0.dng", "plaster_1.dng"]
+    written = files["DNG"][0].stat().st_mtime_ns
     again, same = held.take(2, tmp_path)
-    assert again == paths and same == setup and paths[0].stat().st_mtime_ns == written
+    assert again == files and same == setup
+    assert files["DNG"][0].stat().st_mtime_ns == written
     more, _ = held.take(3, tmp_path)
-    assert len(more) == 3 and all(path.exists() for path in more)
-    mean = float(load_photo(paths[0], noise=False).pixels.mean())
+    assert len(more["DNG"]) == 3 and all(path.exists() for each in more.values() for path in each)
+    mean = float(load_photo(files["DNG"][0], noise=False).pixels.mean())
     assert mean <= held.phone.brightness * 1.1
     assert setup.tilt == held.tilt and setup.intensity[0] > 0.0
+    bright, dark = (load_photo(path, noise=False) for path in files["JPEG, two exposures"])
+    assert bright.exposure == pytest.approx(4.0 * dark.exposure, rel=1e-3)
+
+
+def test_a_gain_map_holds_light_up_to_two_stops_above_white(tmp_path):
+    linear = np.full((192, 256, 3), 0.25)
+    linear[:, 128:192], linear[:, 192:] = 2.0, 5.0
+    phone = PhoneCamera(256, 192)
+    write_jpeg(tmp_path / "a.jpg", Shot(linear, FlashSetup(fov=phone.fov), phone), 1, hdr=True)
+    seen = load_photo(tmp_path / "a.jpg", noise=False).pixels[96].mean(axis=-1)
+    np.testing.assert_allclose(seen[[40, 160, 230]], (0.25, 2.0, 4.0), rtol=0.05)
 
 
 SMALL_CAMERA = PhoneCamera(width=240, height=180)
