@@ -206,6 +206,7 @@ def _exif_directory(shot: Shot, where: int, order: str) -> bytes:
 PHONE = ToneCurve(1.3, 1.0 / (1.0 + 0.8**1.3))
 _QUALITY = 95
 _STOPS = 2  # above white, the most that a gain map holds
+_MOST = 2.0**_STOPS  # light that is shown as white with one
 _XMP = (  # of Ultra HDR; GainMapMax and HDRCapacityMax in stops
     b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
     b'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
@@ -222,14 +223,20 @@ def write_jpeg(
 ) -> None:
     """Write a shot as a JPEG of quality 95 with the noise of a seed; see write_dng.
 
-    The tone curve is only sRGB's encoding by default. `hdr` adds an HDR gain map (Ultra HDR
-    1.1): light up to two stops above white, in one channel at a quarter of the resolution.
+    The tone curve is only sRGB's encoding by default. `hdr` adds an HDR gain map (Ultra HDR 1.1)
+    that undoes the tone curve, in one channel at a quarter of the resolution. In phones' files it
+    does so up to about two stops above white, and darks have none; the curve is that of
+    [reinhard2002, eq. 4] then, with W = 4 at white:  B = L (1 + L / W^2) / (1 + L).
 
     Raises:
         MatcapError: the file cannot be written.
     """
-    light = sensor_noise(shot.linear, shot.camera, seed).clip(0.0, None)
-    shown = (tone or ToneCurve()).developed(light.clip(None, 1.0).astype(np.float32))
+    light = sensor_noise(shot.linear, shot.camera, seed).astype(np.float32)
+    light = light.clip(0.0, _MOST if hdr else 1.0)
+    if hdr:
+        shown = light * (1.0 + light / _MOST**2) / (1.0 + light)
+    else:
+        shown = (tone or ToneCurve()).developed(light)
     picture = Image.fromarray(np.round(srgb_picture(shown) * 255.0).astype(np.uint8))
     exif = Image.Exif()
     exif.update({271: "matcap", 272: "simulated phone", 274: 1})
@@ -243,10 +250,10 @@ def write_jpeg(
     with Output.file(path) as file:
         picture.save(file, format="JPEG", quality=_QUALITY, exif=exif, **stated)
         if hdr:
-            stops = np.log2(light.max(axis=-1).clip(1.0, 2.0**_STOPS)).astype(np.float32)
+            gains = (light + 1e-6).max(axis=-1) / (shown + 1e-6).max(axis=-1)
             size = (picture.width // 4, picture.height // 4)
-            small = cv2.resize(stops, size, interpolation=cv2.INTER_AREA)
-            codes = Image.fromarray(np.round(255.0 / _STOPS * small).astype(np.uint8))
+            small = cv2.resize(np.log2(gains), size, interpolation=cv2.INTER_AREA) / _STOPS
+            codes = Image.fromarray(np.round(255.0 * small.clip(0.0, 1.0)).astype(np.uint8))
             with file.open("ab") as stream:
                 numbers = _NUMBERS % (_STOPS, _STOPS)
                 codes.save(stream, format="JPEG", quality=_QUALITY, xmp=_XMP % numbers)

@@ -194,9 +194,9 @@ def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
     assert bright.exposure == pytest.approx(4.0 * dark.exposure, rel=1e-3)
 
 
-def test_a_gain_map_holds_light_up_to_two_stops_above_white(tmp_path):
+def test_a_gain_map_undoes_the_tone_curve_up_to_two_stops_above_white(tmp_path):
     linear = np.full((192, 256, 3), 0.25)
-    linear[:, 128:192], linear[:, 192:] = 2.0, 5.0
+    linear[:, 128:192], linear[:, 192:] = 2.0, 5.0  # the last is beyond
     phone = PhoneCamera(256, 192)
     write_jpeg(tmp_path / "a.jpg", Shot(linear, FlashSetup(fov=phone.fov), phone), 1, hdr=True)
     seen = load_photo(tmp_path / "a.jpg", noise=False).pixels[96].mean(axis=-1)
