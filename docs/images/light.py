@@ -10,25 +10,20 @@ highlight contrast over the true one. The sheet shows the last. SETS is a folder
 
 from __future__ import annotations
 
-import io
 import math
-import struct
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import tifffile
-from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
 from matcap.brdf.maps import MapSet
 from matcap.capture.run import capture_file
 from matcap.capture.settings import CaptureSettings
-from matcap.files.color import srgb_picture
 from matcap_lab.bench.floors import exemplar_maps
 from matcap_lab.measures.evaluator import (
     EvaluationSettings,
@@ -37,7 +32,7 @@ from matcap_lab.measures.evaluator import (
     mirrored_scene,
 )
 from matcap_lab.measures.nsd import SqueezeNetStyle
-from matcap_lab.simulate.files import PHONE, write_jpeg
+from matcap_lab.simulate.files import PHONE, write_gain_map_jpeg, write_jpeg
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise, take
 from matcap_lab.simulate.specimen import Specimen, phone_cone, subjects
 
@@ -45,7 +40,6 @@ CAMERA = PhoneCamera(1024, 768)
 DETAIL, SIDE = 512, 256
 MARGIN = 400  # texels of the plane around the picture, for a camera that is tilted
 STOPS = 4
-ISO = b"urn:iso:std:iso:ts:21496:-1\0"
 
 
 def main(folder: Path, sheet: Path, sets: Path | None, names: Sequence[str]) -> None:
@@ -78,7 +72,7 @@ def written(folder: Path, subject: Specimen) -> dict[str, list[Path]]:
     dark_shot = Shot(other.linear * darker, other.setup, CAMERA, exposure=2.0**-STOPS)
     write_jpeg(dark, dark_shot, subject.seed + 1, PHONE)
     noisy = sensor_noise(shot.linear, CAMERA, subject.seed).clip(0.0).astype(np.float32)
-    write_gain_map(mapped, noisy)
+    write_gain_map_jpeg(mapped, shot, subject.seed)
     floats = folder / f"{subject.name}.tif"
     tifffile.imwrite(floats, noisy, photometric="rgb")
     return {"one": [light], "bracket": [light, dark], "gain map": [mapped], "float": [floats]}
@@ -103,30 +97,6 @@ def relit(
         rows.append(evaluator.relit(middle, intensity, scene))
     rows.append(evaluator.relit(evaluator.truths[0], setup.intensity, scene))
     return rows, numbers
-
-
-def write_gain_map(path: Path, light: NDArray[np.float32]) -> None:
-    """Light (H, W, 3) as a JPEG toned locally, with a gain map of a quarter of its size."""
-    around = cv2.GaussianBlur(light.mean(axis=2), (0, 0), light.shape[1] / 40)[..., None]
-    base = np.minimum(light / (0.6 + 0.9 * around), 1.0)
-    stops = np.log2((light.mean(axis=2) + 1 / 64) / (base.mean(axis=2) + 1 / 64))
-    small = cv2.resize(stops, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    low, high = float(small.min()), float(small.max())
-    codes = np.rint((small - low) / (high - low) * 255.0).astype(np.uint8)
-    shown = np.rint(srgb_picture(base) * 255.0).astype(np.uint8)
-    numbers = (0.0, high, low, high, 1.0, 1 / 64, 1 / 64)
-    block = struct.pack(">HHB", 0, 0, 0)
-    for form, value in zip("IIiiIii", numbers, strict=True):
-        block += struct.pack(f">{form}I", round(value * 10**6), 10**6)
-    path.write_bytes(jpeg(shown, ISO + bytes(4)) + jpeg(codes, ISO + block))
-
-
-def jpeg(codes: NDArray[np.uint8], content: bytes) -> bytes:
-    """A JPEG with one more segment, APP2."""
-    file = io.BytesIO()
-    Image.fromarray(codes).save(file, "JPEG", quality=95)
-    data = file.getvalue()
-    return data[:2] + b"\xff\xe2" + struct.pack(">H", len(content) + 2) + content + data[2:]
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ states focal length and flash. Optional lens shading is recorded as GainMaps in 
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 from fractions import Fraction
@@ -21,7 +22,7 @@ from PIL.TiffImagePlugin import IFDRational
 from matcap.files.color import srgb_picture
 from matcap.files.output import Output
 from matcap.photo.photo import ToneCurve
-from matcap_lab.simulate.photograph import PhoneCamera, Shot, sensor_noise
+from matcap_lab.simulate.photograph import PhoneCamera, Shot, expose, sensor_noise
 
 # Linear Rec.709 to XYZ at D65 (IEC 61966-2-1).
 REC709_TO_XYZ = np.array(
@@ -205,55 +206,62 @@ def _exif_directory(shot: Shot, where: int, order: str) -> bytes:
 # x^1.3 / (x^1.3 + 0.8^1.3), scaled to 1 at 1.
 PHONE = ToneCurve(1.3, 1.0 / (1.0 + 0.8**1.3))
 _QUALITY = 95
-_STOPS = 2  # above white, the most that a gain map holds
-_MOST = 2.0**_STOPS  # light that is shown as white with one
-_XMP = (  # of Ultra HDR; GainMapMax and HDRCapacityMax in stops
-    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF '
-    b'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><rdf:Description '
-    b'xmlns:hdrgm="http://ns.adobe.com/hdr-gain-map/1.0/" hdrgm:Version="1.0"%b/>'
-    b"</rdf:RDF></x:xmpmeta>"
-)
-_NUMBERS = (
-    b' hdrgm:OffsetSDR="0" hdrgm:OffsetHDR="0" hdrgm:GainMapMax="%d" hdrgm:HDRCapacityMax="%d"'
-)
+_ISO = b"urn:iso:std:iso:ts:21496:-1\0"
 
 
-def write_jpeg(
-    path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None, *, hdr: bool = False
-) -> None:
+def write_jpeg(path: Path, shot: Shot, seed: int, tone: ToneCurve | None = None) -> None:
     """Write a shot as a JPEG of quality 95 with the noise of a seed; see write_dng.
 
-    The tone curve is only sRGB's encoding by default. `hdr` adds an HDR gain map (Ultra HDR 1.1)
-    that undoes the tone curve, in one channel at a quarter of the resolution. In phones' files it
-    does so up to about two stops above white, and darks have none; the curve is that of
-    [reinhard2002, eq. 4] then, with W = 4 at white:  B = L (1 + L / W^2) / (1 + L).
+    The tone curve is only sRGB's encoding by default.
 
     Raises:
         MatcapError: the file cannot be written.
     """
-    light = sensor_noise(shot.linear, shot.camera, seed).astype(np.float32)
-    light = light.clip(0.0, _MOST if hdr else 1.0)
-    if hdr:
-        shown = light * (1.0 + light / _MOST**2) / (1.0 + light)
-    else:
-        shown = (tone or ToneCurve()).developed(light)
-    picture = Image.fromarray(np.round(srgb_picture(shown) * 255.0).astype(np.uint8))
-    exif = Image.Exif()
-    exif.update({271: "matcap", 272: "simulated phone", 274: 1})
-    exif.get_ifd(_EXIF_IFD).update(
-        {
-            number: IFDRational(value) if isinstance(value, Fraction) else value
-            for number, value in exif_of(shot).items()
-        }
-    )
-    stated = {"xmp": _XMP % b""} if hdr else {}
+    linear = expose(shot, seed).astype(np.float32)
+    shown = srgb_picture((tone or ToneCurve()).developed(linear))
     with Output.file(path) as file:
-        picture.save(file, format="JPEG", quality=_QUALITY, exif=exif, **stated)
-        if hdr:
-            gains = (light + 1e-6).max(axis=-1) / (shown + 1e-6).max(axis=-1)
-            size = (picture.width // 4, picture.height // 4)
-            small = cv2.resize(np.log2(gains), size, interpolation=cv2.INTER_AREA) / _STOPS
-            codes = Image.fromarray(np.round(255.0 * small.clip(0.0, 1.0)).astype(np.uint8))
-            with file.open("ab") as stream:
-                numbers = _NUMBERS % (_STOPS, _STOPS)
-                codes.save(stream, format="JPEG", quality=_QUALITY, xmp=_XMP % numbers)
+        file.write_bytes(_jpeg(shown, shot))
+
+
+def write_gain_map_jpeg(path: Path, shot: Shot, seed: int) -> None:
+    """Write a shot as a JPEG toned locally, with a gain map (ISO 21496-1) that undoes it.
+
+    The map has a quarter of the resolution and one channel. Noise and errors as of write_jpeg.
+    """
+    light = sensor_noise(shot.linear, shot.camera, seed).clip(0.0).astype(np.float32)
+    around = cv2.GaussianBlur(light.mean(axis=2), (0, 0), light.shape[1] / 40)[..., None]
+    base = np.minimum(light / (0.6 + 0.9 * around), 1.0)
+    offset = 1 / 64  # of both
+    stops = np.log2((light.mean(axis=2) + offset) / (base.mean(axis=2) + offset))
+    small = cv2.resize(stops, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    low, high = float(small.min()), float(small.max())
+    block = struct.pack(">HHB", 0, 0, 0)
+    for form, value in zip(
+        "IIiiIii", (0.0, max(high, 0.0), low, high, 1.0, offset, offset), strict=True
+    ):
+        block += struct.pack(f">{form}I", round(value * 10**6), 10**6)
+    with Output.file(path) as file:
+        pictures = (
+            _jpeg(srgb_picture(base), shot, bytes(4)),
+            _jpeg((small - low) / (high - low), None, block),
+        )
+        file.write_bytes(b"".join(pictures))
+
+
+def _jpeg(values: NDArray[np.float32], shot: Shot | None, gain_map: bytes = b"") -> bytes:
+    """Values in [0, 1] as a JPEG, with a shot's EXIF and an APP2 segment of ISO 21496-1."""
+    exif = Image.Exif()
+    if shot is not None:
+        exif.update({271: "matcap", 272: "simulated phone", 274: 1})
+        exif.get_ifd(_EXIF_IFD).update(
+            {
+                number: IFDRational(value) if isinstance(value, Fraction) else value
+                for number, value in exif_of(shot).items()
+            }
+        )
+    file = io.BytesIO()
+    codes = np.round(values * 255.0).astype(np.uint8)
+    Image.fromarray(codes).save(file, format="JPEG", quality=_QUALITY, exif=exif)
+    data, content = file.getvalue(), _ISO + gain_map
+    segment = struct.pack(">HH", 0xFFE2, len(content) + 2) + content if gain_map else b""
+    return data[:2] + segment + data[2:]

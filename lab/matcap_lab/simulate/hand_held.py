@@ -24,7 +24,7 @@ from matcap.brdf.maps import MapSet
 from matcap.capture.registration.camera import Lens, PosedCamera, grid_points
 from matcap.flash.geometry import OWN, Extent, FlashSetup
 from matcap.flash.light import CORNER_SQUARED, shade
-from matcap_lab.simulate.files import PHONE, write_jpeg
+from matcap_lab.simulate.files import PHONE, write_gain_map_jpeg, write_jpeg
 from matcap_lab.simulate.photograph import (
     PhoneCamera,
     Realise,
@@ -395,7 +395,7 @@ class PhonePhotographs:
             for number, shot in enumerate(shots):
                 subject.write(shot, out, number)
             write_jpeg(bright, shots[0], subject.seed, PHONE)
-            write_jpeg(above, shots[0], subject.seed, PHONE, hdr=True)
+            write_gain_map_jpeg(above, shots[0], subject.seed)
             less = replace(shots[0], linear=shots[0].linear / 4, exposure=shots[0].exposure / 4)
             write_jpeg(dark, less, subject.seed + 1, PHONE)
             sidecar.write_text(json.dumps({"intensity": shots[0].setup.intensity}))

@@ -24,7 +24,7 @@ from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
 from matcap.photo.load import load_photo
-from matcap_lab.simulate.files import gain_map, write_dng, write_jpeg
+from matcap_lab.simulate.files import gain_map, write_dng, write_gain_map_jpeg, write_jpeg
 from matcap_lab.simulate.hand_held import FORMS, PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, as_photo, expose, take, true_maps
 from matcap_lab.simulate.specimen import EXAMPLES, Specimen, map_set_folders, read_map_set
@@ -194,13 +194,13 @@ def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
     assert bright.exposure == pytest.approx(4.0 * dark.exposure, rel=1e-3)
 
 
-def test_a_gain_map_undoes_the_tone_curve_up_to_two_stops_above_white(tmp_path):
+def test_a_gain_map_undoes_local_toning(tmp_path):
     linear = np.full((192, 256, 3), 0.25)
-    linear[:, 128:192], linear[:, 192:] = 2.0, 5.0  # the last is beyond
+    linear[:, 128:192], linear[:, 192:] = 2.0, 5.0
     phone = PhoneCamera(256, 192)
-    write_jpeg(tmp_path / "a.jpg", Shot(linear, FlashSetup(fov=phone.fov), phone), 1, hdr=True)
+    write_gain_map_jpeg(tmp_path / "a.jpg", Shot(linear, FlashSetup(fov=phone.fov), phone), 1)
     seen = load_photo(tmp_path / "a.jpg", noise=False).pixels[96].mean(axis=-1)
-    np.testing.assert_allclose(seen[[40, 160, 230]], (0.25, 2.0, 4.0), rtol=0.05)
+    np.testing.assert_allclose(seen[[40, 160, 230]], (0.25, 2.0, 5.0), rtol=0.05)
 
 
 SMALL_CAMERA = PhoneCamera(width=240, height=180)
