@@ -104,11 +104,8 @@ USUAL = tuple(name for name, way in WAYS.items() if way.group != "detail")
 
 
 def preset_ways() -> Mapping[str, str]:
-    """Names of the presets by equivalent configuration, for the bench's photographs.
-
-    Only of those without a decoder.
-    """
-    named: dict[str, str] = {}
+    """Names of the presets by equivalent configuration, for the bench's photographs."""
+    named = {"default": CaptureSettings().preset}
     for name in (name for name, effort in PRESETS.items() if not effort.decoder_steps):
         way = f"{CaptureSettings(preset=name).detail_of(_CAMERA.width)} texels"
         named[way] = f"{named[way]}, {name}" if way in named else name

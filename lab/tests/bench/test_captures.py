@@ -74,11 +74,10 @@ def measured(folder, ways, materials, **options):
     return run(experiment, folder / "fronts.csv")
 
 
-def test_every_preset_without_a_decoder_is_a_way_and_the_default_is_what_others_are_paired_with():
+def test_every_preset_is_a_way_and_draft_is_what_others_are_paired_with():
     ways = preset_ways()
-    alone = {name for name, effort in PRESETS.items() if not effort.decoder_steps}
-    assert set(ways.values()) == alone and set(ways) <= set(USUAL)
-    assert ways[BASE] == "draft"
+    assert sorted(ways.values()) == sorted(PRESETS) and set(ways) <= set(USUAL)
+    assert ways[BASE] == "draft" and ways["default"] == "standard"
 
 
 def test_a_sweep_goes_on_where_it_was_stopped_whatever_version_measured(captures, tmp_path):
