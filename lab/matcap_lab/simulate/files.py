@@ -237,7 +237,7 @@ def write_gain_map_jpeg(path: Path, shot: Shot, seed: int) -> None:
     low, high = float(small.min()), float(small.max())
     block = struct.pack(">HHB", 0, 0, 0)
     for form, value in zip(
-        "IIiiIii", (0.0, max(high, 0.0), low, high, 1.0, offset, offset), strict=True
+        "IIiiIii", (0.0, max(high, 0.1), low, high, 1.0, offset, offset), strict=True
     ):
         block += struct.pack(f">{form}I", round(value * 10**6), 10**6)
     with Output.file(path) as file:

@@ -24,6 +24,7 @@ from matcap.flash.geometry import FlashSetup, plane_points, project
 from matcap.flash.light import render_rectified
 from matcap.flash.rectify import rectify
 from matcap.photo.load import load_photo
+from matcap.photo.photo import WITH_GAIN_MAP
 from matcap_lab.simulate.files import gain_map, write_dng, write_gain_map_jpeg, write_jpeg
 from matcap_lab.simulate.hand_held import FORMS, PhonePhotographs
 from matcap_lab.simulate.photograph import PhoneCamera, Shot, as_photo, expose, take, true_maps
@@ -192,6 +193,8 @@ def test_photographs_are_taken_once_and_their_truth_is_kept(tmp_path):
     assert setup.tilt == held.tilt and setup.intensity[0] > 0.0
     bright, dark = (load_photo(path, noise=False) for path in files["JPEG, two exposures"])
     assert bright.exposure == pytest.approx(4.0 * dark.exposure, rel=1e-3)
+    (toned,) = files["JPEG, gain map"]
+    assert load_photo(toned, noise=False).development == WITH_GAIN_MAP
 
 
 def test_a_gain_map_undoes_local_toning(tmp_path):
