@@ -27,10 +27,11 @@ def pack(codes: NDArray[Any]) -> NDArray[np.uint8]:
     """Compress an integer array."""
     swapped = codes.copy()
     swapped[..., 1:] -= codes[..., :-1]
-    planes = swapped.astype(swapped.dtype.newbyteorder("<")).view(np.uint8)
+    planes = swapped.astype(swapped.dtype.newbyteorder("<"), copy=False).view(np.uint8)
     planes = planes.reshape(-1, swapped.dtype.itemsize).T
     deflate = zlib.compressobj(strategy=zlib.Z_RLE)
-    return np.frombuffer(deflate.compress(planes.tobytes()) + deflate.flush(), np.uint8)
+    parts = [deflate.compress(plane.tobytes()) for plane in planes]
+    return np.frombuffer(b"".join([*parts, deflate.flush()]), np.uint8)
 
 
 def unpack(packed: NDArray[np.uint8], shape: tuple[int, ...], kind: type) -> NDArray[Any]:
@@ -155,9 +156,9 @@ class Exemplar:
         unit, low = _height_coding(self.height)
         return replace(
             self,
-            diffuse=self.diffuse.astype(np.float16).astype(np.float32),
-            specular=self.specular.astype(np.float16).astype(np.float32),
-            roughness=self.roughness.astype(np.float16).astype(np.float32),
+            diffuse=halves(self.diffuse),
+            specular=halves(self.specular),
+            roughness=halves(self.roughness),
             height=_height(_height_codes(self.height, unit, low), unit, low),
             confidence=_confidence(_confidence_codes(self.confidence)),
         )
@@ -198,7 +199,7 @@ class Exemplar:
         if not (-60 <= exponent <= 20 and abs(low) < 2**23):
             raise ValueError(f"heights of {low} and more 2^{exponent}")
 
-        def halves(name: str) -> Floats:
+        def stated(name: str) -> Floats:
             shape = (channels[name], rows, columns)
             return unpack(tensor(name), shape, np.uint16).view(np.float16).astype(np.float32)
 
@@ -211,10 +212,15 @@ class Exemplar:
             return _confidence(unpack(tensor("confidence"), shape, np.uint8))
 
         names = ("diffuse", "specular", "roughness")
-        tasks: list[Callable[[], Floats]] = [partial(halves, name) for name in names]
+        tasks: list[Callable[[], Floats]] = [partial(stated, name) for name in names]
         diffuse, specular, roughness, height, known = at_once(*tasks, heights, confidence)
         size = float(about["texel_size"])
         return Exemplar(diffuse, specular, roughness, height, known, size)
+
+
+def halves(planes: Floats) -> Floats:
+    """Values rounded as in a file: of all maps but the height."""
+    return planes.astype(np.float16).astype(np.float32)
 
 
 def _check_size(width: int, height: int) -> None:
@@ -233,16 +239,17 @@ def _height_coding(height: Floats) -> tuple[float, int]:
 
 
 def _height_codes(height: Floats, unit: float, low: int) -> NDArray[np.uint16]:
-    return (np.rint(height.astype(np.float64) / unit) - low).astype(np.uint16)
+    # The unit is a power of two, and codes have 23 bits: float32 is exact.
+    return (np.rint(height / np.float32(unit)) - np.float32(low)).astype(np.uint16)
 
 
 def _height(codes: NDArray[np.uint16], unit: float, low: int) -> Floats:
-    return ((codes.astype(np.int64) + low) * unit).astype(np.float32)
+    return (codes.astype(np.float32) + np.float32(low)) * np.float32(unit)
 
 
 def _confidence_codes(confidence: Floats) -> NDArray[np.uint8]:
-    return np.rint(confidence * _CONFIDENCE_STEPS).astype(np.uint8)
+    return np.stack([np.rint(one * _CONFIDENCE_STEPS).astype(np.uint8) for one in confidence])
 
 
 def _confidence(codes: NDArray[np.uint8]) -> Floats:
-    return codes.astype(np.float32) / np.float32(_CONFIDENCE_STEPS)
+    return np.divide(codes, np.float32(_CONFIDENCE_STEPS), dtype=np.float32)

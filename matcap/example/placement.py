@@ -6,6 +6,7 @@ near each other both show is added to the cost of the later one, by its area and
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -374,14 +375,17 @@ def evenly_sharp(exemplar: Exemplar) -> Exemplar:
         log = np.log(plane.clip(_DARKEST))
         return np.asarray(np.where(seen, log, log[seen].mean()), np.float32)
 
+    def softer(log: Floats, *deviations: float) -> Iterator[Floats]:
+        """One after the other, as only two are needed at once."""
+        yield log
+        yield from (blurred(log, deviation) for deviation in deviations)
+
     wide, high = exemplar.size
     size = -(-wide // _SQUARE), -(-high // _SQUARE)
     grey = exemplar.diffuse.mean(axis=0) + exemplar.specular.mean(axis=0)
-    softer = [logarithm(grey)]
-    softer += [blurred(softer[0], deviation) for deviation in (*_BLURS, *_COARSE)]
     energies = [
         blurred(cv2.resize(np.square(fine - soft), size, interpolation=cv2.INTER_AREA), 1.5)
-        for fine, soft in pairwise(softer)
+        for fine, soft in pairwise(softer(logarithm(grey), *_BLURS, *_COARSE))
     ]
     *finer, _, coarse = (0.5 * np.log(energy + 1e-9) for energy in energies)
     known = np.asarray(
@@ -400,12 +404,15 @@ def evenly_sharp(exemplar: Exemplar) -> Exemplar:
     def evened(planes: Floats) -> Floats:
         if not np.ptp(planes):
             return planes
-        logs = np.stack([logarithm(plane) for plane in planes])
-        for log in logs:
-            octaves = [log.copy(), *(blurred(log, deviation) for deviation in _BLURS)]
+        even = planes.copy()
+        for plane in even:
+            log = logarithm(plane)
+            octaves = softer(log.copy(), *_BLURS)
             for gain, (fine, soft) in zip(gains, pairwise(octaves), strict=True):
                 log += (gain - 1.0) * (fine - soft)
-        return np.where(seen & (planes > _DARKEST), np.exp(logs).clip(0.0, 1.0), planes)
+            brighter = np.exp(log, out=log).clip(0.0, 1.0, out=log)
+            np.copyto(plane, brighter, where=seen & (plane > _DARKEST))
+        return even
 
     return replace(exemplar, diffuse=evened(exemplar.diffuse), specular=evened(exemplar.specular))
 

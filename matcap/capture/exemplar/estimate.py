@@ -52,7 +52,7 @@ from matcap.capture.rectified import Observation, Rectified, channel_weights
 from matcap.capture.settings import CaptureClock
 from matcap.example.candidates import Frame
 from matcap.example.example import Example
-from matcap.example.exemplar import Exemplar
+from matcap.example.exemplar import Exemplar, halves
 from matcap.example.fine_lattice import straightened
 from matcap.example.placement import evenly_sharp
 from matcap.example.variety import with_chosen_variety, with_least_steps
@@ -279,8 +279,7 @@ def indexed(
             even = evenly_sharp(exemplar) if one_light else exemplar
             if even is exemplar:
                 return exemplar
-            even = even.rounded()  # the other maps are shared
-            return replace(exemplar, diffuse=even.diffuse, specular=even.specular)
+            return replace(even, diffuse=halves(even.diffuse), specular=halves(even.specular))
 
         made = partial(Example.of_rounded, exemplar, waves, part=part, one_light=one_light)
         example, even = at_once(made, evened)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from matcap.brdf.cook_torrance import ALBEDO, F0, REFLECTANCE, SurfaceParameters
-from matcap.brdf.maps import MapSet
+from matcap.brdf.maps import CHANNELS, MapSet
 from matcap.capture.exemplar.mean_parameters import (
     DIELECTRIC,
     LEAST_PART,
@@ -118,8 +119,9 @@ def with_confidence(maps: MapSet, confidence: NDArray[np.float32]) -> Exemplar:
 
 
 def map_set_of(exemplar: Exemplar) -> MapSet:
-    """An exemplar's maps as a map set."""
-    return MapSet.from_stacked(torch.from_numpy(exemplar.stacked()), exemplar.texel_size)
+    """An exemplar's maps as a map set, which shares their memory."""
+    maps: Any = {name: torch.from_numpy(getattr(exemplar, name)) for name in CHANNELS}
+    return MapSet(**maps, texel_size=exemplar.texel_size)
 
 
 def confidence_of(
