@@ -67,14 +67,16 @@ def capture_photo(
         result = capture_by_decoder(rectified, settings, method, clock)
         latent = _latent(rectified, settings)
         return replace(result, material=replace(result.material, latent=latent))
-    rectified, estimate = _estimated([photo, *others], settings, method, clock)
+    photos, stem, notes = [photo, *others], photo.stem, photo.notes
     # The first given has the notes of all, whichever defines the frame.
-    given = {note for one in (photo, *others) for note in one.notes}
-    notes = *photo.notes, *(note for note in rectified.photo.notes if note not in given)
+    given = {note for one in photos for note in one.notes}
+    del photo, others
+    rectified, estimate = _estimated(photos, settings, method, clock)
+    notes = *notes, *(note for note in rectified.photo.notes if note not in given)
     rectified = replace(rectified, photo=replace(rectified.photo, notes=notes))
     several = [] if estimate.several is None else estimate.several.document()["photographs"][1:]
     material = Material(
-        name=photo.stem,
+        name=stem,
         generators={"example": estimate.example},
         texel_size=rectified.whole.texel_size,
         setup=replace(rectified.coarse.setup.dimmed(estimate.scale), turned=estimate.turned),
@@ -93,14 +95,15 @@ def capture_photo(
 
 
 def _estimated(
-    photos: Sequence[Photo], settings: CaptureSettings, method: Method, clock: CaptureClock
+    photos: list[Photo], settings: CaptureSettings, method: Method, clock: CaptureClock
 ) -> tuple[Rectified, ExemplarEstimate]:
     """The exemplar of one photograph or several, and the photograph in whose frame it is.
 
     Of several of which only one is left, the estimate is that one's, with a report on the others.
+    One is popped, as its pixels are not needed once its tone curve is undone.
     """
-    (photo, *others), registration = photos, None
-    if others:
+    registration = None
+    if len(photos) > 1:
         with clock.stage("register"):
             registration = register_in_any_order(photos)
         if len(registration.views) > 1:
@@ -111,8 +114,9 @@ def _estimated(
             return estimate_multiview(
                 registration, load_inverse(), detail, clock, union=settings.union
             )
-        photo = registration.views[0].photo
-    rectified = _rectified(photo, settings, method, clock)
+        photos = [registration.views[0].photo]
+    rectified = _rectified(photos.pop(), settings, method, clock)
+    photo = rectified.photo
     absolute = photo.flash_intensity is not None
     known = KnownMeans(settings.albedo, settings.roughness, absolute=absolute)
     with one_thread():

@@ -344,13 +344,13 @@ def _under_flash(maps: MapSet, setup: FlashSetup) -> tuple[Picture, Picture]:
     turned, setup = setup.turned, replace(setup, turned=False)
     landscape = maps.turned(1) if turned else maps
     width, height = landscape.size
-    points = points_of((height, width))
     every = slice(None, None, max(1, width // LIT))
 
     @torch.no_grad()
     def lit(rows: slice, columns: slice) -> Picture:
+        points = points_of((height, width), rows, columns=columns)
         some = texels_of(landscape, rows, columns)
-        radiance = render_flash(some, setup, points[:, rows, columns]).movedim(0, -1).numpy()
+        radiance = render_flash(some, setup, points).movedim(0, -1).numpy()
         return standing(radiance) if turned else np.ascontiguousarray(radiance)
 
     rows, columns = _crop(*maps.size)

@@ -308,8 +308,8 @@ class PlaneLight:
 
     def cut(self, rows: slice, columns: slice) -> PhotographLight:
         """The light at a rectangle of texels."""
-        points = points_of(self.size[::-1], rows)
-        return PhotographLight.of(self.coarse, points[:, :: rows.step, columns])
+        points = points_of(self.size[::-1], rows, columns=columns)
+        return PhotographLight.of(self.coarse, points)
 
     def rendered(self, maps: MapSet) -> tuple[Tensor, Tensor]:
         """Incident.log_radiance() of maps on their own relief, strip by strip."""

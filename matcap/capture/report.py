@@ -101,6 +101,7 @@ def _write_material(
     maps = material.maps(*settings.size, seed=settings.seed, period=period)
     info = MapSetInfo(name, settings.seed, provenance=dict(material.provenance))
     write_mapset(maps, stage, info, png=settings.png, normal=settings.normal)
+    del maps  # 50 MB of 1024 texels, with what saving takes
     material.save(stage / f"{name}.matcap")
     if result.estimate is not None and result.settings.aligned:
         _write_piece(result.estimate, material.setup, stage, name, settings)

@@ -185,20 +185,20 @@ def judge_material(
         (maps, landscape), inspected, about = at_once(
             shown, partial(checked, photo, rectified.coarse, plane), measured
         )
-        seen = compared = picture_of(plane.linear)
-        kept, valid = plane.kept.numpy()[..., None], plane.valid.numpy()
-        if not kept.all():  # a difference of zero where masked
-            compared, seen = np.where(kept, seen, landscape), np.where(kept, seen, np.float32(0.0))
+        seen, valid = picture_of(plane.linear), plane.valid.numpy()
+        hidden = ~plane.kept.numpy()
+        seen[hidden] = landscape[hidden]  # a difference of zero where masked
         setup = replace(material.setup, turned=False)
         measurements = measure_capture(
-            photo, setup, compared, landscape, valid, rectified.waves, about, inspected
+            photo, setup, seen, landscape, valid, rectified.waves, about, inspected
         )
         others = material.provenance.get("others", ())
         measurements = replace(measurements, photographs=1 + len(others))
         itself = map_set_of(estimate.first_rectangle) if estimate and tuning is None else None
         measurements, verdict = _judged(
-            measurements, photo, (compared, valid), (maps, itself), material.setup
+            measurements, photo, (seen, valid), (maps, itself), material.setup
         )
+        seen[hidden] = 0.0
     return CaptureResult(
         photo=photo,
         material=material,

@@ -170,10 +170,13 @@ def _captured(
 
     with clock.stage("read"):
         # Importing PyTorch takes longer than reading a photograph.
-        (photo, *more), pipeline = at_once(read, partial(import_module, f"{__package__}.pipeline"))
-        notes = (f"{other.name}: {note}" for other in more for note in other.notes)
-        photo = replace(photo, notes=(*photo.notes, *notes))
-    captured: CaptureResult = pipeline.capture_photo(photo, settings, others=more, clock=clock)
+        photos, pipeline = at_once(read, partial(import_module, f"{__package__}.pipeline"))
+        notes = (f"{other.name}: {note}" for other in photos[1:] for note in other.notes)
+        photos[0] = replace(photos[0], notes=(*photos[0].notes, *notes))
+    # Popped: its pixels are not needed once its tone curve is undone.
+    captured: CaptureResult = pipeline.capture_photo(
+        photos.pop(0), settings, others=photos, clock=clock
+    )
     return captured
 
 

@@ -176,13 +176,17 @@ OWN = Extent()
 
 
 def points_of(
-    size: torch.Size | tuple[int, ...], rows: slice = slice(None), extent: Extent = OWN
+    size: torch.Size | tuple[int, ...],
+    rows: slice = slice(None),
+    extent: Extent = OWN,
+    columns: slice = slice(None),
 ) -> Tensor:
-    """(3, h, w) plane points of a grid (height, width), or of some rows of it."""
+    """(3, h, w) plane points of a grid (height, width), or of some rows and columns of it."""
     height, width = size
-    top, bottom, _ = rows.indices(height)
-    points = plane_points(0, top, width, bottom - top, (width, height), dtype=torch.float32)
-    return extent.placed(points)
+    line = plane_points(0, 0, width, 1, (width, height), dtype=torch.float32)[0, :, columns]
+    column = plane_points(0, 0, 1, height, (width, height), dtype=torch.float32)[1, rows]
+    x, y = torch.broadcast_tensors(line, column)
+    return extent.placed(torch.stack([x, y, torch.zeros(x.shape)]))
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from matcap.brdf.cook_torrance import (
 )
 from matcap.brdf.maps import MapSet, by_slopes, normals_from_slopes
 from matcap.files.threads import at_once
-from matcap.flash.geometry import FlashSetup, camera_in_plane, plane_points, project
+from matcap.flash.geometry import FlashSetup, camera_in_plane, points_of, project
 
 # The flash's light on a surface: the differentiable renderer of flash photographs.
 #
@@ -265,7 +265,9 @@ def shade(maps: MapSet, points: Tensor, camera: Tensor, light: Tensor, intensity
         maps: the material at `points`; shadows are neglected.
         points, camera, light, intensity: as of FlashLight.between.
     """
-    return _picture(maps, points, lambda some: FlashLight.between(some, camera, light, intensity))
+    return _picture(
+        maps, lambda rows: FlashLight.between(points[..., rows, :], camera, light, intensity)
+    )
 
 
 def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
@@ -274,7 +276,7 @@ def render_flash(maps: MapSet, setup: FlashSetup, points: Tensor) -> Tensor:
     Not clipped. `points` are the plane points of the texels (plane_points), which determine the
     directions of light and view.
     """
-    return _picture(maps, points, lambda some: FlashLight.of(setup, some))
+    return _picture(maps, lambda rows: FlashLight.of(setup, points[..., rows, :]))
 
 
 def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
@@ -286,18 +288,17 @@ def render_rectified(maps: MapSet, setup: FlashSetup) -> Tensor:
     if setup.turned:
         landscape = render_rectified(maps.turned(1), replace(setup, turned=False))
         return landscape.rot90(-1, (-2, -1))
-    width, height = maps.size
-    points = plane_points(0, 0, width, height, (width, height), dtype=maps.height.dtype)
-    return render_flash(maps, setup, points.to(maps.height.device))
+    points = partial(points_of, maps.size[::-1])
+    return _picture(maps, lambda rows: FlashLight.of(setup, points(rows).to(maps.height)))
 
 
-def _picture(maps: MapSet, points: Tensor, light_at: Callable[[Tensor], FlashLight]) -> Tensor:
+def _picture(maps: MapSet, light_at: Callable[[slice], FlashLight]) -> Tensor:
     def some(rows: slice) -> Tensor:
-        incidence = light_at(points[..., rows, :]).onto(maps.normals_of(rows), exact=True)
+        incidence = light_at(rows).onto(maps.normals_of(rows), exact=True)
         materials = (maps.diffuse, maps.specular, maps.roughness)
         return incidence.radiance(*(values[..., rows, :] for values in materials))
 
-    height, width = points.shape[-2:]
+    width, height = maps.size
     parts = (partial(some, rows) for rows in strips(height, cached_rows(width)))
     return torch.cat(at_once(*parts), dim=-2)
 

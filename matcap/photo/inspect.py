@@ -394,7 +394,9 @@ def blurred(picture: NDArray[np.floating], deviation: float) -> NDArray[np.float
 
 def band_passed(picture: NDArray[np.float32], fine: float, coarse: float) -> NDArray[np.float32]:
     """Difference of two Gaussian blurs of a picture, with these standard deviations in pixels."""
-    return blurred(picture, fine) - blurred(picture, coarse)
+    band = blurred(picture, fine)
+    band -= blurred(picture, coarse)
+    return band
 
 
 def _tiles(picture: NDArray[np.float32]) -> Values:

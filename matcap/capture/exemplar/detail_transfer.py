@@ -62,17 +62,22 @@ def transfer_detail(
     relief = _relief(exemplar, detail.mean(0).numpy(), maps, light)[None]
     relief = relief if copies is None else copies.read(relief)
     maps = replace(maps, height=maps.height + torch.from_numpy(relief) * plane.texel_size)
+    del detail, relief
     enlarged = maps.diffuse
     log, share = light.rendered(maps)
     for _ in range(_ROUNDS):
         more = _missing_detail(log, plane, exemplar.size, noise)
-        more *= share / (share.square() + _HIDDEN)
+        hidden = share.square().add_(_HIDDEN)
+        more *= torch.div(share, hidden, out=hidden)
         diffuse = (maps.diffuse * more.exp_()).clamp_(*ALBEDO_LIMITS)
         ratio = torch.div(diffuse, maps.diffuse, out=more)
-        brighter = 1.0 + share * (ratio - 1.0)  # only diffuse radiance has changed
+        # Only diffuse radiance has changed.
+        brighter = torch.sub(ratio, 1.0, out=hidden).mul_(share).add_(1.0)
         share *= ratio.div_(brighter)
         log += brighter.log_()
         maps = replace(maps, diffuse=diffuse)
+        del diffuse, more, hidden, ratio, brighter  # 40 MB each, of 2048 texels across
+    del log, share
     if copies is not None:
         drawn = torch.from_numpy(copies.read((maps.diffuse / enlarged).numpy()))
         maps = replace(maps, diffuse=enlarged * drawn)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -160,8 +161,8 @@ def _reach(profile: NDArray[np.float64]) -> float:
 def _octaves(picture: Picture, region: TexelMask) -> list[float]:
     """Standard deviation of log radiance over a region, by octave, finest first."""
     log = filled(np.log(np.maximum(picture, _DARKEST)).astype(np.float32), region)
-    blurs = [cv2.GaussianBlur(log, (0, 0), 2.0**octave) for octave in range(_OCTAVES + 1)]
-    return [float((a - b)[region].std()) for a, b in zip(blurs, blurs[1:], strict=False)]
+    blurs = (cv2.GaussianBlur(log, (0, 0), 2.0**octave) for octave in range(_OCTAVES + 1))
+    return [float((a - b)[region].std()) for a, b in pairwise(blurs)]
 
 
 def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -176,10 +177,9 @@ def from_mirror_point(setup: FlashSetup, shape: tuple[int, ...]) -> NDArray[np.f
 
 def _matte(setup: FlashSetup, shape: tuple[int, ...]) -> Picture:
     """(H, W) radiance of a white matte plane: power (n.l) / pi."""
-    points = points_of(shape)
 
     def some(rows: slice) -> Tensor:
-        light = FlashLight.of(setup, points[:, rows])
+        light = FlashLight.of(setup, points_of(shape, rows))
         return light.power.mean(0) * light.to_light[2] / math.pi
 
     return torch.cat([some(rows) for rows in strips(shape[0], cached_rows(shape[1]))]).numpy()

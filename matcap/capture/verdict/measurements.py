@@ -305,7 +305,7 @@ def lit_from(
     columns: slice = slice(None),
 ) -> Picture:
     """(h, w, 3) radiance of texels of maps under a light of SIDES, from the photograph's camera."""
-    points = points_of(maps.size[::-1], rows)[:, :: rows.step, columns]
+    points = points_of(maps.size[::-1], rows, columns=columns)
     if setup.turned:
         points *= maps.size[0] / maps.size[1]  # the long side is two plane units, here upwards
     camera, light = torch.tensor([0.0, 0.0, setup.distance]), torch.tensor(SIDES[side])
@@ -366,13 +366,17 @@ def _tile(values: NDArray[Any]) -> Region:
 
 def tile_contrasts(picture: Picture) -> dict[str, Picture]:
     """By band, variance of log luminance in each tile."""
+
+    def variance(log: Picture, reach: tuple[float, float]) -> Picture:
+        band = band_passed(log, *reach)
+        return cell_means(np.square(band, out=band), _TILES)
+
     log = _log_luminance(picture)
-    bands = {"fine": _FINE, "coarse": _COARSE_BAND}
-    squares = {band: np.square(band_passed(log, *reach)) for band, reach in bands.items()}
-    tiles = {band: cell_means(square, _TILES) for band, square in squares.items()}
-    whole = np.log(picture + _floors(picture))
-    chroma = band_passed(whole[..., ::2] - whole[..., 1:2], *_CHROMA_BAND)
-    return {**tiles, "coloured": cell_means(np.square(chroma), _TILES).mean(axis=2)}
+    tiles = {"fine": variance(log, _FINE), "coarse": variance(log, _COARSE_BAND)}
+    log = picture + _floors(picture)
+    log = np.log(log, out=log)
+    log = log[..., ::2] - log[..., 1:2]
+    return {**tiles, "coloured": variance(log, _CHROMA_BAND).mean(axis=2)}
 
 
 def _code_variance(picture: Picture) -> dict[str, Picture]:
