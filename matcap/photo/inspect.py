@@ -369,7 +369,9 @@ def _every(channels: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def _log(radiance: NDArray[Any]) -> NDArray[Any]:
     """Logarithm of radiance plus a share of its median."""
-    return np.log(radiance + _TOE * float(np.median(radiance)) + 1e-9)
+    log = np.asarray(radiance + _TOE * float(np.median(radiance)))
+    log += 1e-9
+    return np.log(log, out=log)
 
 
 def _gradient_energy(light: NDArray[np.float32], scale: float) -> NDArray[np.float32]:

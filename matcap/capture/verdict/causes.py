@@ -256,10 +256,13 @@ def highlight_residue(exemplar: Exemplar, setup: FlashSetup) -> dict[str, float]
         `albedo` and `specular` (natural log), `roughness`, and `grain` (log of the local
         root-mean-square slope).
     """
-    distance = from_mirror_point(setup, exemplar.size[::-1])
-    step = exemplar.texel_size
-    slopes = np.gradient(exemplar.height[0].astype(np.float64) / step)
-    steep = _blocks(np.square(slopes[0]) + np.square(slopes[1]))
+    distances = _blocks(from_mirror_point(setup, exemplar.size[::-1]))
+    down, across = np.gradient(exemplar.height[0].astype(np.float64) / exemplar.texel_size)
+    down *= down
+    across *= across
+    down += across
+    steep = _blocks(down)
+    del down, across
     planes = {
         "albedo": _blocks(np.log(exemplar.diffuse.mean(0, dtype=np.float64) + _TOE)),
         "specular": _blocks(np.log(exemplar.specular.mean(0, dtype=np.float64) + _TOE)),
@@ -267,7 +270,6 @@ def highlight_residue(exemplar: Exemplar, setup: FlashSetup) -> dict[str, float]
         # A flat exemplar has slopes of a thousandth, from rounding.
         "grain": 0.5 * np.log(steep + 1e-4),
     }
-    distances = _blocks(distance)
     return {name: in_rings(plane, distances) for name, plane in planes.items()}
 
 

@@ -28,7 +28,7 @@ from matcap.files.threads import at_once
 from matcap.flash.geometry import FlashSetup, points_of
 from matcap.flash.highlight import Highlight, find_highlight, light_of
 from matcap.flash.light import shade
-from matcap.flash.rectify import Plane, plane_of, planes_of
+from matcap.flash.rectify import Plane, plane_of
 from matcap.photo.checks import Region
 from matcap.photo.inspect import (
     Inspection,
@@ -70,6 +70,7 @@ _UNSEEN_CODES = 2.0  # of 255, in which a developed photograph is uncertain
 _TILES = 8  # across the picture, for contrasts of texture
 _BRIGHT = 0.2  # share of tiles, the brightest, that form the region in the light
 _PLACES = (4, 3)  # number of windows across and down
+_AT_ONCE = 4  # windows whose features, 11 MB each, are in memory
 _LEAST_SEEN = 0.5  # least valid share of a window
 _LEAST_MARK = 0.1  # half the side of the least square that is shown, plane units
 
@@ -122,8 +123,8 @@ class Measurements:
     ) -> Measurements:
         """With the texture of `pictures`, photograph and re-rendering, clipped alike."""
         developed = not (photo.radiometric or photo.floating)
-        plane = plane_of(planes_of(pictures[0]), torch.from_numpy(valid), headroom=photo.headroom)
-        rendering = torch.from_numpy(pictures[1]).movedim(-1, 0)
+        linear, rendering = (torch.from_numpy(each).movedim(-1, 0) for each in pictures)
+        plane = plane_of(linear, torch.from_numpy(valid), headroom=photo.headroom)
 
         def of_contrast() -> tuple[dict[str, tuple[float, float]], dict[str, Region]]:
             tiles = tile_contrasts(pictures[0]), tile_contrasts(pictures[1])
@@ -441,8 +442,10 @@ def texture_difference(plane: Plane, rendering: Tensor) -> tuple[float, dict[str
     bank, weights = FilterBank(FEATURES), Weights(mean=0.0)
 
     def described(picture: Tensor, shift: int) -> Descriptor:
-        cut = (picture[:, y : y + WINDOW, x + shift :][..., :WINDOW] for x, y in places)
-        return describe(torch.stack([each.contiguous() for each in cut]), plane.encoding, bank)
+        cut = [picture[:, y : y + WINDOW, x + shift :][..., :WINDOW] for x, y in places]
+        some = (cut[first : first + _AT_ONCE] for first in range(0, len(cut), _AT_ONCE))
+        linear = (torch.stack([each.contiguous() for each in part]) for part in some)
+        return Descriptor.joined([describe(part, plane.encoding, bank) for part in linear])
 
     with torch.inference_mode():
         here, neighbour, there = at_once(
