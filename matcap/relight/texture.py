@@ -258,14 +258,17 @@ class Sampler:
     def _alpha(self) -> Array:
         return alpha_of(self.texture.roughness[0])
 
+    @property
+    def _planes(self) -> list[Array]:
+        """(H, W) arrays: diffuse, specular, alpha^2, slopes x and y, slope variance (0)."""
+        maps, squared = self.texture, np.square(self._alpha)
+        return [*maps.diffuse, *maps.specular, squared, *maps.slopes, np.zeros_like(squared)]
+
     @cached_property
     def _rows(self) -> Array:
-        """(H W, C) texels: diffuse, specular, alpha^2, slopes x and y, slope variance (0)."""
-        maps = self.texture
-        none = np.zeros_like(self._alpha)[None]
-        squared = np.square(self._alpha)[None]
-        stack = np.concatenate([maps.diffuse, maps.specular, squared, maps.slopes, none])
-        return np.ascontiguousarray(stack.reshape(len(stack), -1).T)
+        """(H W, C) texels, of `_planes`."""
+        planes = self._planes
+        return np.stack(planes, axis=-1).reshape(-1, len(planes))
 
     @cached_property
     def _pyramid(self) -> CTexels:
@@ -275,26 +278,22 @@ class Sampler:
         """
         import cv2
 
-        width, height = self.texture.size
-        rows = self._rows
-        level = rows.reshape(height, width, -1)
-        square = (level[..., -3:-1] ** 2).sum(axis=-1)
-        levels, sizes = [rows], [(width, height)]
-        while max(width, height) > 1:
-            width, height = max(1, width // 2), max(1, height // 2)
-            level = np.dstack(
-                [
-                    cv2.resize(level[..., c], (width, height), interpolation=cv2.INTER_AREA)
-                    for c in range(level.shape[2])
-                ]
-            ).reshape(height, width, -1)
-            square = cv2.resize(square, (width, height), interpolation=cv2.INTER_AREA)
-            square = square.reshape(height, width)
-            mean = level[..., -3] ** 2 + level[..., -2] ** 2
-            level[..., -1] = np.maximum(square - mean, 0.0)
-            levels.append(level.reshape(width * height, -1))
-            sizes.append((width, height))
-        return _texels(np.concatenate(levels), sizes)
+        planes, sizes = self._planes, [self.texture.size]
+        while max(sizes[-1]) > 1:
+            sizes.append((max(1, sizes[-1][0] // 2), max(1, sizes[-1][1] // 2)))
+        rows = np.empty((sum(w * h for w, h in sizes), len(planes)), dtype=np.float32)
+        square, start = planes[-3] ** 2 + planes[-2] ** 2, 0
+        for width, height in sizes:
+            if start:
+                *planes, square = (
+                    np.asarray(cv2.resize(one, (width, height), interpolation=cv2.INTER_AREA))
+                    for one in (*planes, square)
+                )
+                planes[-1] = np.maximum(square - (planes[-3] ** 2 + planes[-2] ** 2), 0.0)
+            level = rows[start : start + width * height].reshape(height, width, -1)
+            np.stack([one.reshape(height, width) for one in planes], axis=-1, out=level)
+            start += width * height
+        return _texels(rows, sizes)
 
 
 def between(rows: Array, size: tuple[int, int], column: Array, row: Array) -> Array:
