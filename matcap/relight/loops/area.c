@@ -142,9 +142,15 @@ INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field
                      float *arriving) {
     int risen[CELLS] = {0}, lit[CELLS] = {0}, clear = 1;
     float above = 1.0f;
+    for (int c = 0; c < CELLS; c++) arriving[c] = 1.0f;
     if (f->clear) {
         float tangent = f->clear[nearest(f->columns, f->rows, p->column[i], p->row[i])];
+        float o[3], distance = 0.0f;
         above = tangent / sqrtf(1.0f + tangent * tangent);
+        for (int k = 0; k < 3; k++) o[k] = l->place[k] - p->point[k][i], distance += o[k] * o[k];
+        to_frame(p, i, o);
+        /* The lowest point of the bounding sphere, as if it were the farthest, too. */
+        if (o[2] - l->half > above * (sqrtf(distance) + l->half)) return 1;
     }
     look_at(l, &l->probe, p, i, s);
     for (int n = 0; n < l->probe.nodes; n++) {
@@ -155,7 +161,7 @@ INLINE int parts_lit(const AreaLight *l, const Pixels *p, int64_t i, const Field
         risen[l->probe.cell[n]]++, lit[l->probe.cell[n]] += one, clear &= one;
     }
     for (int c = 0; c < CELLS; c++)
-        arriving[c] = risen[c] ? (float)lit[c] / (float)risen[c] : 1.0f;
+        if (risen[c]) arriving[c] = (float)lit[c] / (float)risen[c];
     return clear;
 }
 
