@@ -337,8 +337,8 @@ class Block:
         """(2, N) sky view factor, and share of directions that meet relief (Horizons.open)."""
         horizons = self.context.horizons
         assert horizons is not None
-        if self.plan.on("interreflection"):
-            # Interreflection needs the same texels: one walk computes both.
+        if self.plan.on("interreflection") and (not self.adaptive or horizons.shared):
+            # Interreflection needs the same texels: one walk computes both, with the same bits.
             horizons.transfer(self.column, self.row, None, fine=not self.adaptive)
         else:
             horizons.compute(self.column, self.row)

@@ -198,12 +198,13 @@ def _parts(block: Block) -> list[tuple[bool, Array]]:
     assert block.vector_irradiance is not None and block.context.horizons is not None
     allowed = budget.radiance("interreflection", block.total)
     most: Any = np.float32(0.0)
+    around = block.context.relief.albedo_around(block.column, block.row) * np.float32(1.0 / math.pi)
     for channel in range(3):
         x, y, z = block.vector_irradiance[3 * channel : 3 * channel + 3]
-        largest = np.float32(block.context.relief.texture.brightest[channel] / math.pi)
-        change = block.sample.diffuse[channel] * np.sqrt(x * x + y * y + z * z) * largest
+        change = block.sample.diffuse[channel] * np.sqrt(x * x + y * y + z * z) * around[channel]
         most = np.maximum(most, change * block.open[1] / np.maximum(allowed[channel], _TINY))
     most = most * block.facing
     fine = most * np.float32(COARSENESS) > 1.0
     coarse = (most > 1.0) & ~fine
+    block.context.horizons.shared = bool(coarse.mean() > 0.5)
     return [(one, np.flatnonzero(x).astype(np.int32)) for one, x in ((False, coarse), (True, fine))]
