@@ -41,7 +41,7 @@ _ROUNDING = 1.0 + 1e-5
 # The mean albedo of a texel's neighbours is assumed to be at most _ADJACENT times the largest mean
 # of _CELL x _CELL texels within _CELL such cells (leather, knitted cloth, tiles: 99 % of texels
 # below 0.94 to 1.16 times that mean), and at most the largest of all.
-_CELL, _ADJACENT = 4, 1.25
+_CELL, _ADJACENT = 4, 1.75
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ _LOWEST = math.tan(math.radians(3.0))
 # 0.15 and 0.17, in 0.95 of the time; with eight azimuths below 0.12, 0.23 and 0.30. Tests compare
 # pictures with those of all effects.
 _PARTS = (2, 5, 12)
-COARSENESS = 0.09
+COARSENESS = 0.12
 # (AZIMUTHS, 2) unit vectors, x right and y up: azimuth 0 is along x, turning towards y.
 _AZIMUTH_VECTORS = np.array(
     [
