@@ -144,8 +144,7 @@ def row(photograph: Path) -> NDArray[np.uint8]:
 
 
 def _lit(
-    realise: Realise,
-    lit: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    realise: Realise, lit: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 ) -> Shot:
     """A shot under another light, which is made of albedo and of the shot under the flash."""
     shot = take(realise, CAMERA, LEVEL)

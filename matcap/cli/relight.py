@@ -83,8 +83,7 @@ _PIXEL_BYTES = 48  # of memory that rendering and writing a picture take
 @with_settings
 def relight(
     path: Annotated[
-        Path,
-        typer.Argument(metavar="PATH", help="A material, a map set or a folder with either."),
+        Path, typer.Argument(metavar="PATH", help="A material, a map set or a folder with either.")
     ] = Path("."),
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Linear radiance in .exr, or an encoded .png.")

@@ -321,8 +321,7 @@ _TEXEL_BYTES = 150  # memory of an export per texel, at least
 @with_settings
 def export(
     path: Annotated[
-        Path,
-        typer.Argument(metavar="PATH", help="A material, a map set or a folder with either."),
+        Path, typer.Argument(metavar="PATH", help="A material, a map set or a folder with either.")
     ] = Path("."),
     to: Annotated[
         list[str] | None,

@@ -353,10 +353,7 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "example",
-    [
-        partial(varied, ordered, 0.3),
-        lambda: ordered(480, 320, (24.0, 24.0), 0.5).varied(0.1),
-    ],
+    [partial(varied, ordered, 0.3), lambda: ordered(480, 320, (24.0, 24.0), 0.5).varied(0.1)],
     ids=["nearly-straight", "bent"],
     indirect=True,
 )

@@ -103,12 +103,7 @@ def test_table_profile_agrees_with_the_same_as_matrix(codes, dtype):
 
 @pytest.mark.parametrize(
     "profile",
-    [
-        b"junk",
-        bytes(200),
-        matrix_profile()[:300],
-        matrix_profile(space=b"GRAY"),
-    ],
+    [b"junk", bytes(200), matrix_profile()[:300], matrix_profile(space=b"GRAY")],
     ids=["junk", "zeros", "short", "grey"],
 )
 def test_unusable_profile_is_reported(codes, profile):
@@ -265,11 +260,7 @@ def test_matrices_are_mixed_by_the_inverse_temperature():
     first, second = color_matrix(MIXING), color_matrix(OTHER)
     middle = 2.0 / (1.0 / 2850.0 + 1.0 / 6500.0)
     x = next(x for x in np.linspace(0.30, 0.45, 4001)[::-1] if temperature((x, 0.38)) >= middle)
-    for white, mixed in [
-        (A, first),
-        (D65, second),
-        ((float(x), 0.38), (first + second) / 2),
-    ]:
+    for white, mixed in [(A, first), (D65, second), ((float(x), 0.38), (first + second) / 2)]:
         found = dng_color(tags(first, color2=second, kind1=17, kind2=21, white=white))
         expected = mixed @ xyz(white)
         np.testing.assert_allclose(found.neutral, expected / expected.max(), rtol=2e-3)

@@ -151,9 +151,7 @@ def field_costs(network: str, settings: SynthSettings, workers: int, block: str)
     }
 
 
-def _steps(
-    settings: SynthSettings,
-) -> dict[str, Callable[[SynthSubject, int], Costs]]:
+def _steps(settings: SynthSettings) -> dict[str, Callable[[SynthSubject, int], Costs]]:
     """Steps of synthesis by example, by name: index (once), start, texels."""
 
     def index(subject: SynthSubject, _seed: int) -> Costs:

@@ -34,8 +34,7 @@ OnlyOption = Annotated[
     list[str] | None, typer.Option(help="Measure only what is named; may be repeated.")
 ]
 SetsOption = Annotated[
-    Path | None,
-    typer.Option(help="Folder of artists' map sets; all of them if none is named."),
+    Path | None, typer.Option(help="Folder of artists' map sets; all of them if none is named.")
 ]
 OutOption = Annotated[
     Path, typer.Option("--out", "-o", help="Folder for the table and the captures measured.")
@@ -156,8 +155,7 @@ def fields(
     material: MaterialArgument = None,
     sets: SetsOption = None,
     phases: Annotated[
-        bool,
-        typer.Option("--phases", help="Also measure rotated lattices of 2.5 to 300 texels."),
+        bool, typer.Option("--phases", help="Also measure rotated lattices of 2.5 to 300 texels.")
     ] = False,
     out: OutOption = Path("bench/fields"),
 ) -> None:
@@ -225,8 +223,7 @@ def repetition(
 def fronts(
     out: OutOption = Path("bench/fronts"),
     sets: Annotated[
-        Path | None,
-        typer.Option(help="Folder of artists' map sets; six held-out ones are used."),
+        Path | None, typer.Option(help="Folder of artists' map sets; six held-out ones are used.")
     ] = None,
     point: OnlyOption = None,
     material: OnlyOption = None,
@@ -264,8 +261,7 @@ def relight(
     ] = None,
     json: JsonOption = False,
     tolerances: Annotated[
-        bool,
-        typer.Option("--tolerances", help="Measure time against accuracy, by tolerance."),
+        bool, typer.Option("--tolerances", help="Measure time against accuracy, by tolerance.")
     ] = False,
     out: OutOption = Path("bench/relight"),
     width: Annotated[
@@ -306,8 +302,7 @@ def synth(
         list[str] | None, typer.Option(help="shipped or paper; default: both.")
     ] = None,
     block: Annotated[
-        list[str] | None,
-        typer.Option(metavar="WxH", help="Block of the field; may be repeated."),
+        list[str] | None, typer.Option(metavar="WxH", help="Block of the field; may be repeated.")
     ] = None,
     workers: Annotated[
         list[int] | None, typer.Option("--workers", "-j", min=1, help="Threads; default: 1 and 2.")

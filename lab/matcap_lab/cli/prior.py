@@ -18,8 +18,7 @@ PriorOption = Annotated[
     Path | None, typer.Option(help="A prior's file, instead of the included one.")
 ]
 ResultsOption = Annotated[
-    Path,
-    typer.Option("--out", "-o", help="Folder for the table, the picture and single results."),
+    Path, typer.Option("--out", "-o", help="Folder for the table, the picture and single results.")
 ]
 
 

@@ -348,12 +348,7 @@ def _window(packed: PackedSet, rng: np.random.Generator, width: int, height: int
 
 
 def cut(
-    packed: PackedSet,
-    level: int,
-    scale: float,
-    rng: np.random.Generator,
-    width: int,
-    height: int,
+    packed: PackedSet, level: int, scale: float, rng: np.random.Generator, width: int, height: int
 ) -> Picture:
     """(9, height, width) randomly placed, rotated and mirrored crop of a level, periodic.
 

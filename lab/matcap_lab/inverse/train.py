@@ -126,11 +126,7 @@ def wanted(
 
 
 def loss_parts(
-    outputs: Tensor,
-    wanted: WantedOutputs,
-    *,
-    style: bool = True,
-    compare: Compare | None = None,
+    outputs: Tensor, wanted: WantedOutputs, *, style: bool = True, compare: Compare | None = None
 ) -> Parts:
     """Parts of the loss of a step's pictures, scalars: means over them.
 

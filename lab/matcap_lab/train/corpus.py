@@ -389,11 +389,7 @@ def srgb_bytes(linear: np.ndarray) -> np.ndarray:
 
 
 def entry(
-    name: str,
-    material: str,
-    code: np.ndarray,
-    fov: float,
-    tilt: tuple[float, float] | None = None,
+    name: str, material: str, code: np.ndarray, fov: float, tilt: tuple[float, float] | None = None
 ) -> Entry:
     """Pack a developed picture (H, W, 3) uint8 BGR, W >= H."""
     jpeg = encode(code, QUALITY)

@@ -105,10 +105,7 @@ def conditional_mean_of(codes: Codes, entries: Sequence[Entry]) -> ConditionalMe
 
 
 def finish(
-    encoder: Encoder,
-    decoder: Decoder,
-    entries: Sequence[Entry],
-    about: Mapping[str, Any],
+    encoder: Encoder, decoder: Decoder, entries: Sequence[Entry], about: Mapping[str, Any]
 ) -> Prior:
     """A prior from trained networks and the photographs they were trained on."""
     codes = codes_of(encoder, entries)
@@ -123,11 +120,7 @@ def finish(
     }
     model = conditional_mean_of(codes, entries)
     return Prior(
-        encoder,
-        decoder,
-        model,
-        anchors_known(codes, model, entries),
-        {**about, **measured},
+        encoder, decoder, model, anchors_known(codes, model, entries), {**about, **measured}
     )
 
 

@@ -275,10 +275,7 @@ def cut(
     inputs = numbers(source.entry.coarse, source.entry.contrast, WAVE_DETAIL // coarser)
     camera, light = camera_in_plane(setup)
     shown = torch.cat(
-        [
-            source.picture[:3][order] + hue[:, None, None],
-            turn.vector(source.picture[3:]),
-        ]
+        [source.picture[:3][order] + hue[:, None, None], turn.vector(source.picture[3:])]
     )
     colours = torch.cat([order, torch.arange(3, 6)])
     mean = base.mean[colours].clone()
@@ -427,10 +424,7 @@ def compare(
 
 
 def taught(
-    maps: Sequence[MapSet],
-    samples: Sequence[TrainingSample],
-    seed: int,
-    bank: FilterBank,
+    maps: Sequence[MapSet], samples: Sequence[TrainingSample], seed: int, bank: FilterBank
 ) -> Tensor | None:
     """(N,) losses against true maps, of the samples that have them; None if none has."""
     rng = np.random.default_rng([seed, 1])
@@ -491,11 +485,7 @@ def side_light(rng: np.random.Generator) -> Tensor:
 
 
 def relit_distance(
-    estimate: MapSet,
-    truth: MapSet,
-    light: Tensor,
-    encoding: Encoding,
-    bank: FilterBank,
+    estimate: MapSet, truth: MapSet, light: Tensor, encoding: Encoding, bank: FilterBank
 ) -> Tensor:
     """(B,) style distance of maps (B, C, H, W) from true ones, seen from above under a far light.
 

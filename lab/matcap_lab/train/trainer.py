@@ -66,12 +66,7 @@ class Training(Generic[Trained]):
     """
 
     def __init__(
-        self,
-        model: Trained,
-        rates: Mapping[str, float],
-        *,
-        decay: float,
-        weight_decay: float = 0.0,
+        self, model: Trained, rates: Mapping[str, float], *, decay: float, weight_decay: float = 0.0
     ) -> None:
         """Begin with a network on its device.
 

@@ -171,10 +171,7 @@ def _lent(shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...] = ()) 
 
 
 def _transported(
-    shot: Photographed,
-    exemplar: Exemplar,
-    hole: tuple[slice, ...],
-    waves: tuple[Wave, ...] = (),
+    shot: Photographed, exemplar: Exemplar, hole: tuple[slice, ...], waves: tuple[Wave, ...] = ()
 ) -> tuple[Exemplar, Copies | None]:
     valid = torch.ones(shot.linear.shape[1:], dtype=torch.bool)
     if hole:

@@ -12,11 +12,7 @@ _LIFT = 2e-6
 
 
 def lit(
-    relief: Relief,
-    place: tuple[Array, Array],
-    height: Array,
-    to_light: Vec,
-    distance: Array | None,
+    relief: Relief, place: tuple[Array, Array], height: Array, to_light: Vec, distance: Array | None
 ) -> Array:
     """Whether light arrives, for each pixel of a block.
 

@@ -274,10 +274,7 @@ def herringbone(canvas: Canvas, rng: Draws) -> SurfaceFields:
     back = 2 * length - 1 - k
     name = (2 * np.where(lying, i - k, i) + lying, np.where(lying, j, j - back))
     bricks = _Bricks(
-        name,
-        np.where(lying, k + u - i, back + v - j),
-        np.where(lying, v - j, u - i),
-        float(length),
+        name, np.where(lying, k + u - i, back + v - j), np.where(lying, v - j, u - i), float(length)
     )
     return _wall(canvas, rng, size, bricks)
 
