@@ -59,5 +59,4 @@ def test_what_is_seen_before_is_told_apart(failing, name, tmp_path):
 @pytest.mark.parametrize("name", UNSEEN)
 def test_what_is_not_seen_before_is_not_refused(failing, name, tmp_path):
     """A limit: no period is looked for, nothing that is there once, and no spike."""
-    found = inspected(failing, name, tmp_path)
-    assert found.rating.fit
+    assert inspected(failing, name, tmp_path).rating.fit

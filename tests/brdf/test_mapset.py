@@ -88,8 +88,7 @@ def test_directx_normals_have_green_turned_around(tmp_path, maps):
 def test_a_slope_that_rises_upwards_points_down_in_opengl(tmp_path, maps):
     # +y is up and row 0 is the top: height falling with the row index rises with y.
     rows = torch.arange(20.0)[None, :, None].expand(1, 20, 31)
-    rising = replace(maps, height=-0.1 * rows * maps.texel_size)
-    write_mapset(rising, tmp_path, INFO)
+    write_mapset(replace(maps, height=-0.1 * rows * maps.texel_size), tmp_path, INFO)
     assert (pixels(tmp_path / "leather_normal.exr")[..., 1] < -0.05).all()
 
 
@@ -414,8 +413,7 @@ def test_slopes_of_a_step_hardly_ring(place):
 
 def test_ramps_stay_ramps():
     y, x = np.mgrid[:96, :128].astype(np.float32)
-    small = resized_height(0.3 * x - 0.2 * y, (64, 48))
-    down, across = np.gradient(small)
+    down, across = np.gradient(resized_height(0.3 * x - 0.2 * y, (64, 48)))
     assert across == pytest.approx(0.6, abs=1e-4) and down == pytest.approx(-0.4, abs=1e-4)
 
 

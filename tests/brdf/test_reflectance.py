@@ -63,8 +63,7 @@ def test_furnace_never_gains_energy(theta, roughness):
     light = torch.stack([sine * phi.cos(), sine * phi.sin(), mu[:, None].expand(n, 2 * n)])
     angles = Angles.exact(UP, light, direction(theta))
     lobe = specular_lobe(scalar(1.0), scalar(roughness), angles)
-    energy = float((lobe[0] * mu[:, None]).mean() * 2 * math.pi)
-    assert 0.3 < energy < 1.0 + 1e-3
+    assert 0.3 < float((lobe[0] * mu[:, None]).mean() * 2 * math.pi) < 1.0 + 1e-3
 
 
 def test_nothing_below_the_horizon():
@@ -160,8 +159,7 @@ def test_log_parameters_and_maps_are_inverse() -> None:
 
 
 def test_maps_are_within_their_limits_for_any_log_parameters() -> None:
-    wild = SurfaceParameters.from_stacked(200.0 * torch.randn(6, 8, 12))
-    maps = wild.maps(TEXEL)
+    maps = SurfaceParameters.from_stacked(200.0 * torch.randn(6, 8, 12)).maps(TEXEL)
     for values, (least, most) in ((maps.diffuse, ALBEDO_LIMITS), (maps.specular, F0_LIMITS)):
         assert float(values.min()) >= least - 1e-6 and float(values.max()) <= most + 1e-6
     assert float(maps.roughness.min()) > 0.0 and float(maps.roughness.max()) < 1.0
@@ -294,8 +292,7 @@ def test_gloss_and_relief_meet_their_own_planes(channels, normal):
 
 def test_painted_normals_of_a_metal_are_adjusted_too():
     maps = drawn(3)
-    painted = replace(maps, painted=maps.normal)
-    found = adjusted(painted, Adjustments(relief=0.5))
+    found = adjusted(replace(maps, painted=maps.normal), Adjustments(relief=0.5))
     assert len(found.specular) == 3
     wanted = adjusted(maps, Adjustments(relief=0.5)).normal
     torch.testing.assert_close(found.painted, wanted, atol=1e-6, rtol=0.0)

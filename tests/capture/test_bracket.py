@@ -90,8 +90,7 @@ def moved(light, degrees=0.5):
 def error(photo: Photo, light: np.ndarray) -> np.ndarray:
     """(H, W) absolute log ratio of smoothed luminance to light, up to one factor, inside."""
     a, b = (cv2.GaussianBlur(each.mean(axis=2), (0, 0), 1.5) for each in (photo.pixels, light))
-    ratio = np.log(a) - np.log(b)
-    inner = ratio[20:-20, 20:-20]
+    inner = (np.log(a) - np.log(b))[20:-20, 20:-20]
     return np.abs(inner - np.median(inner))
 
 
@@ -159,8 +158,7 @@ def test_what_the_short_exposure_stores_as_black_is_the_long_ones():
     light = scene(peak=20.0)
     photos = [taken(light), taken(moved(light)[0], 1 / 64, seed=2)]
     assert (photos[1].pixels == 0.0).mean() > 0.01
-    merged = merge_bracket(photos)
-    assert (merged.pixels > 0.3 * light)[20:-20, 20:-20].mean() > 0.999
+    assert (merge_bracket(photos).pixels > 0.3 * light)[20:-20, 20:-20].mean() > 0.999
 
 
 def test_moved_parts_are_left_out():
@@ -191,10 +189,8 @@ def test_the_core_of_a_highlight_stands_in_its_flanks():
 
     bracket = aligned_bracket([taken(lit(0)), taken(lit(far), 1 / 16, seed=2)])
     assert bracket is not None
-    merged = bracket.merged().pixels.mean(axis=2)
-    brightest = np.maximum(merged - 2.0, 0.0)
-    centre = (brightest * x).sum() / brightest.sum() - WIDTH / 2
-    assert abs(centre) < 0.5 * far
+    brightest = np.maximum(bracket.merged().pixels.mean(axis=2) - 2.0, 0.0)
+    assert abs((brightest * x).sum() / brightest.sum() - WIDTH / 2) < 0.5 * far
 
 
 @pytest.mark.parametrize("way", [(8.0, 0.0), (-3.0, 5.0)])

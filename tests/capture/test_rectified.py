@@ -299,8 +299,7 @@ def test_written_files_of_a_portrait_are_upright(captures, written):
     piece, document = read_mapset(written / "standing_photo.json")
     assert piece.size == (96, 128) and document["provenance"]["setup"]["turned"] is True
     assert Material.load(written / "standing.matcap").setup.turned
-    sheet = np.asarray(Image.open(written / "preview.png"))
-    assert sheet.shape[0] > 1000
+    assert np.asarray(Image.open(written / "preview.png")).shape[0] > 1000
 
 
 @pytest.mark.capture

@@ -135,8 +135,7 @@ def test_a_too_short_time_limit_is_refused_at_once(matcap, pipeline, out):
 def test_the_detail_is_what_fits_into_the_time(seconds, photographs, slower, detail):
     limited = CaptureSettings(time_limit=float(seconds))
     assert within_time(limited, photographs, slower).detail == detail
-    kept = replace(limited, detail=700)
-    assert within_time(kept, photographs, slower).detail == 700
+    assert within_time(replace(limited, detail=700), photographs, slower).detail == 700
 
 
 def test_a_slow_machine_needs_more_time():
@@ -416,8 +415,7 @@ def test_angles_are_in_degrees(captured):
 
 def test_nan_and_infinity_become_null(captured, tmp_path):
     went = Tuning(((0.0, 1, float("inf")), (1.0, 2, float("nan"))))
-    odd = replace(captured, tuning=went)
-    write_report(odd, tmp_path / "report.json")
+    write_report(replace(captured, tuning=went), tmp_path / "report.json")
 
     def refuse(name: str) -> None:
         pytest.fail(f"{name} is not JSON")

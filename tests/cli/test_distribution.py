@@ -210,8 +210,7 @@ def test_packages_that_are_called_say_how_and_are_sent_to_processes(name, first)
 
 
 def test_capture_hands_its_settings_on(pipeline, photo):
-    material = matcap.capture(photo, preset="draft", detail=256, fov=50.0)
-    assert material.name == "leather"
+    assert matcap.capture(photo, preset="draft", detail=256, fov=50.0).name == "leather"
     (call,) = pipeline.calls
     assert (call.long_side, call.fov, call.settings.preset) == (256, 50.0, "draft")
 

@@ -15,8 +15,7 @@ PERIODS = (23.3, 17.1)  # texels along x and y of the bricks
 
 def blobs(width=176, height=144, seed=1):
     """Spots of some six texels."""
-    random = np.random.default_rng(seed)
-    noise = random.standard_normal((4, height, width))
+    noise = np.random.default_rng(seed).standard_normal((4, height, width))
     y, x = np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)
     smooth = np.fft.ifft2(np.fft.fft2(noise) * np.exp(-((np.hypot(x, y) * 20.0) ** 2))).real
     smooth /= smooth.std(axis=(1, 2), keepdims=True)

@@ -123,8 +123,7 @@ def test_a_field_correlates_with_the_texels_it_places():
 
 def test_patches_have_many_texels():
     places = an_example().places(9, Rectangle(0, 0, 256, 256), None).astype(int)
-    joined = (np.diff(places, axis=1) == [1, 0]).all(-1)
-    assert 0.7 < joined.mean() < 0.99
+    assert 0.7 < (np.diff(places, axis=1) == [1, 0]).all(-1).mean() < 0.99
 
 
 def test_patches_hardly_begin_at_texels_without_confidence():
@@ -224,8 +223,7 @@ def test_a_bent_lattice_is_followed():
     example = ordered()
     x = np.arange(30, 210)
     phases = example.index.lattice.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
-    bend = 0.1 * np.sin(x / 90.0)
-    apart = (phases - bend) % 1.0
+    apart = (phases - 0.1 * np.sin(x / 90.0)) % 1.0
     apart = np.angle(np.exp(2j * np.pi * apart)) / (2 * np.pi)
     assert np.ptp(np.unwrap(2 * np.pi * apart)) / (2 * np.pi) < 0.06
 
@@ -433,13 +431,11 @@ def test_texels_away_from_a_seam_are_the_exemplars_bit_for_bit():
 
 def test_a_step_at_a_seam_becomes_gradual():
     step = np.where(np.arange(800) < 400, -0.7, 0.7)[None].repeat(300, axis=0)
-    piece = exemplar(np.stack([step] * 4))
-    found, plainly = halves(piece, (90, 80), (400, 80))
+    found, plainly = halves(exemplar(np.stack([step] * 4)), (90, 80), (400, 80))
     for index in (0, 3, 5):
         across = np.abs(np.diff(found[index][60])).max()
         assert across < 0.08 * np.abs(np.diff(plainly[index][60])).max()
-        ends = found[index][60, [0, -1]]
-        assert np.array_equal(ends, plainly[index][60, [0, -1]])
+        assert np.array_equal(found[index][60, [0, -1]], plainly[index][60, [0, -1]])
 
 
 def test_blending_keeps_contrast():

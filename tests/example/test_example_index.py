@@ -66,8 +66,7 @@ def test_a_file_gives_back_the_same_field(example):
 @pytest.mark.parametrize("size", [(114, 113), (97, 128)])
 def test_files_of_any_exemplar_size_are_read_back(size):
     """Grids of its levels are rounded down at each, which is less than by all at once."""
-    piece = blobs(*size)
-    example = Example.of(piece)
+    example = Example.of(blobs(*size))
     assert len(example.index.bases) > 2
     area = Rectangle(5, -9, 70, 50)
     assert np.array_equal(reread(example).maps(3, area, None), example.maps(3, area, None))
@@ -240,8 +239,7 @@ def test_phases_are_unwrapped_around_places_where_they_are_noise():
     noise = (np.hypot(x - 1.0, y - 0.6) < 0.25) * np.random.default_rng(4).uniform(
         -0.5, 0.5, x.shape
     )
-    turns = _unwrapped((smooth + noise) % 1.0)
-    off = turns - smooth
+    off = _unwrapped((smooth + noise) % 1.0) - smooth
     assert np.abs(off[noise == 0.0] - np.median(off)).max() < 1e-6
 
 
@@ -330,8 +328,7 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
     a_material("blobs", example=an_example()).save(tmp_path / "blobs.matcap")
     file, small = str(tmp_path / "blobs.matcap"), ["--size", "64x48", "-q"]
     for name, variety in (("own", []), ("one", ["--variety", "1"]), ("less", ["--variety", "0"])):
-        words = ["synth", file, *small, *variety, "-o", str(tmp_path / name)]
-        assert main(words) == 0
+        assert main(["synth", file, *small, *variety, "-o", str(tmp_path / name)]) == 0
     own, one, less = (read_mapset(tmp_path / name) for name in ("own", "one", "less"))
     assert torch.equal(own[0].stacked(), one[0].stacked())
     assert not torch.equal(own[0].stacked(), less[0].stacked())
@@ -345,8 +342,7 @@ def test_every_command_that_reads_a_material_takes_a_variety(tmp_path, capsys):
     assert main(["relight", str(tmp_path / "own"), *asked, "-o", str(tmp_path / "b.png")]) == 2
     assert "where this is fixed" in capsys.readouterr().err
     assert main(["synth", file, "--variety", "1.5"]) == 2
-    plain = a_material("plain", seed=5)
-    plain.save(tmp_path / "plain.matcap")
+    a_material("plain", seed=5).save(tmp_path / "plain.matcap")
     assert main(["synth", str(tmp_path / "plain.matcap"), *asked]) == 2
     assert "no patches" in capsys.readouterr().err
 
@@ -537,8 +533,7 @@ def woven(bend=0.0, contrast=0.0, noise=0.0):
         * np.cos(2 * np.pi * (fx * at_x + fy * at_y))
         for changing, (fx, fy) in zip((contrast, -contrast), WAVES, strict=True)
     )
-    rng = np.random.default_rng(1)
-    drawing = drawing + noise * rng.standard_normal(drawing.shape)
+    drawing = drawing + noise * np.random.default_rng(1).standard_normal(drawing.shape)
     flat = np.ones((1, HEIGHT, WIDTH), np.float32)
     albedo = (0.3 * np.exp(0.2 * drawing)).clip(0.0, 1.0).astype(np.float32)
     stacked = np.concatenate(

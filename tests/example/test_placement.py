@@ -108,8 +108,7 @@ def spread_of_contrast(albedo):
     fine = log - cv2.GaussianBlur(log, (0, 0), 1.0)
     rows, columns = (side // WINDOW for side in fine.shape)
     fine = fine[: rows * WINDOW, : columns * WINDOW]
-    cut = fine.reshape(rows, WINDOW, columns, WINDOW)
-    return np.log(cut.std(axis=(1, 3))).std()
+    return np.log(fine.reshape(rows, WINDOW, columns, WINDOW).std(axis=(1, 3))).std()
 
 
 def drawn(texture):
@@ -194,8 +193,7 @@ def test_a_side_with_marks_of_its_own_is_shown_as_often():
         albedo[:, y - 2 : y + 3, x - 2 : x + 3] *= 0.5
     made = Example.of(replace(piece, diffuse=albedo))
     places = made.places(1, Rectangle(0, 0, 1024, 1024), None)
-    left = float((places[..., 0] < SIDES[0] // 2).mean())
-    assert 0.3 < left < 0.7
+    assert 0.3 < float((places[..., 0] < SIDES[0] // 2).mean()) < 0.7
 
 
 def test_no_known_place_gives_no_penalty():

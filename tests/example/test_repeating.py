@@ -96,8 +96,7 @@ def test_a_lattice_is_cut_to_whole_periods():
         turns = side / period
         assert abs(turns - round(turns)) <= 0.02 * turns
     # All of the power of the joints lies at whole numbers of turns.
-    joints = found.maps[3] - found.maps[3].mean()
-    across = np.abs(np.fft.rfft(joints.mean(axis=0)))
+    across = np.abs(np.fft.rfft((found.maps[3] - found.maps[3].mean()).mean(axis=0)))
     assert np.argmax(across) % round(found.cut.shape[1] / PERIODS[0]) == 0
 
 
@@ -120,8 +119,7 @@ def test_an_exemplar_that_tiles_is_unchanged():
     twice = np.tile(random, (1, 2, 2))
     # Half of it from the next copy: the same maps, so that nothing is to be closed.
     x = x + 60 * (x < 20)
-    found = joined(twice, x, y)
-    np.testing.assert_allclose(found, random, atol=1e-5)
+    np.testing.assert_allclose(joined(twice, x, y), random, atol=1e-5)
     assert is_cut(x, y)[:, 19].all() and not is_cut(x, y)[:39, 20:59].any()
 
 

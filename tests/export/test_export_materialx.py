@@ -40,14 +40,12 @@ def test_the_validator_rejects_a_broken_document(tmp_path, written, read_materia
 @pytest.mark.parametrize("name", [*MATERIALS, *METALS])
 def test_the_graph_gives_the_reflectance_of_the_maps(made, written, read_materialx, name):
     file = written("materialx", name)[0] / f"{name}.mtlx"
-    off = residual(made[name], read_materialx.surface(file))
-    assert off.worst < 1e-3
+    assert residual(made[name], read_materialx.surface(file)).worst < 1e-3
 
 
 def test_a_shader_is_generated_from_the_document(written, read_materialx):
     document = read_materialx.load(written("materialx", "leather")[0] / "leather.mtlx")
-    made_of_it = read_materialx.shader(document, "point")
-    code = made_of_it.getSourceCode("pixel")
+    code = read_materialx.shader(document, "point").getSourceCode("pixel")
     assert "mx_generalized_schlick_bsdf(closureData" in code
     assert "mx_layer_bsdf(closureData" not in code
 

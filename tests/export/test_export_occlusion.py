@@ -11,8 +11,7 @@ RAYS = 192
 
 def ridges():
     """Waves along one direction, six texels high."""
-    x = np.arange(SIDE)
-    return np.tile(6.0 * np.sin(2.0 * np.pi * x / 32.0), (SIDE, 1))
+    return np.tile(6.0 * np.sin(2.0 * np.pi * np.arange(SIDE) / 32.0), (SIDE, 1))
 
 
 def pebbles():

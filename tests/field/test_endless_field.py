@@ -128,8 +128,7 @@ def test_the_frozen_network_equals_the_tuned_one(material):
 
 def test_a_saved_material_reads_back_equal(material, tmp_path):
     off_axis = dict(vignetting_centre=(0.1, -0.2), vignetting_colour=(-0.1, -0.1, 0.2))
-    setup = replace(material.setup, **off_axis)
-    material = replace(material, setup=setup)
+    material = replace(material, setup=replace(material.setup, **off_axis))
     material.save(tmp_path / "m.matcap")
     loaded = Material.load(tmp_path / "m.matcap")
     assert torch.equal(loaded.maps(40, 30).stacked(), material.maps(40, 30).stacked())
@@ -210,8 +209,7 @@ def test_noise_and_waves_are_exact_at_far_coordinates():
     near, distant = (
         wave_field(Patch(4, Rectangle(x, 0, 8, 1)), wave)[:2, 0].double() for x in (0, far)
     )
-    step = round(wave[0].fx * 2**64)
-    turn = 2 * torch.pi * ((step * far) % 2**64) / 2**64
+    turn = 2 * torch.pi * ((round(wave[0].fx * 2**64) * far) % 2**64) / 2**64
     cosine, sine = torch.cos(torch.tensor(turn)), torch.sin(torch.tensor(turn))
     assert torch.allclose(distant[0], near[0] * cosine - near[1] * sine, atol=2e-6)
 

@@ -296,15 +296,13 @@ def test_srgb_has_a_gradient_on_both_sides_of_the_knee():
 
 
 def test_a_picture_is_clipped():
-    linear = np.array([-1.0, 0.0, 0.214041, 1.0, 2.0], dtype=np.float32)
-    found = srgb_picture(linear)
+    found = srgb_picture(np.array([-1.0, 0.0, 0.214041, 1.0, 2.0], dtype=np.float32))
     assert found.dtype == np.float32 and found == pytest.approx([0.0, 0.0, 0.5, 1.0, 1.0], abs=1e-6)
 
 
 @pytest.mark.parametrize("light", [0.0, 0.001, 0.01, 0.2, 1.0, 3.0])
 def test_srgb_slope_is_the_derivative(light):
-    at = np.array([light - 1e-6, light + 1e-6])
-    rise = np.diff(srgb_encode(at))[0] / 2e-6
+    rise = np.diff(srgb_encode(np.array([light - 1e-6, light + 1e-6])))[0] / 2e-6
     assert srgb_slope(np.array(light)) == pytest.approx(rise, rel=1e-4)
     assert srgb_slope(np.array([light], np.float32)).dtype == np.float32
 
@@ -367,8 +365,7 @@ def test_exif_orientation_is_applied_and_noted(tmp_path, suffix, orientation):
     picture[:8, :8] = 255
     tags = Image.Exif()
     tags[274] = orientation
-    image = Image.fromarray(picture)
-    image.save(tmp_path / f"a.{suffix}", exif=tags)
+    Image.fromarray(picture).save(tmp_path / f"a.{suffix}", exif=tags)
     pixels = read_pixels(tmp_path / f"a.{suffix}")
     expected = np.asarray(ImageOps.exif_transpose(Image.open(tmp_path / f"a.{suffix}")))
     np.testing.assert_allclose(pixels.stored, expected, atol=16)

@@ -98,8 +98,7 @@ def check(x, y):
 @pytest.mark.parametrize("tilt", [(6.0, 0.0), (-4.0, 7.0), (0.0, 0.0)])
 def test_a_lattice_shows_its_tilt_to_half_a_degree(tilt):
     """With a sign turned, or slopes along the other axis, errors would be as large as the tilt."""
-    found = convergence(plane(tilt, check)).numpy()
-    tangents = found / math.tan(math.radians(FOV / 2))
+    tangents = convergence(plane(tilt, check)).numpy() / math.tan(math.radians(FOV / 2))
     for slope_x, slope_y, std_x, std_y in tangents:
         angles = math.degrees(math.atan(slope_y)), math.degrees(math.atan(-slope_x))
         assert angles == pytest.approx(tilt, abs=0.5)  # of first order in the tilt

@@ -150,8 +150,7 @@ def test_a_cone_of_flash_light_is_the_cameras_and_not_the_materials():
     """Photographs lose light with r^4 on top of r^2; albedo and gloss are as without."""
     coned = replace(a_setup(), vignetting=0.4, vignetting_quartic=0.9)
     plain = fit_of(roughness=0.5, radiometric=False)
-    taken = photograph(coned, roughness=0.5, radiometric=False)
-    cone = fit_coarse(taken)
+    cone = fit_coarse(photograph(coned, roughness=0.5, radiometric=False))
     assert cone.setup.vignetting_quartic > plain.setup.vignetting_quartic + 0.45
     assert cone.residual < 0.03 and cone.roughness == pytest.approx(plain.roughness, abs=0.05)
     shares = [fit.specular / fit.diffuse[1] for fit in (cone, plain)]
@@ -418,8 +417,7 @@ def test_a_spike_in_a_haze_is_kept():
 
 @pytest.mark.parametrize("tilt", [(0.17, 0.05), (-0.1, 0.2)])
 def test_a_tilted_plane_is_not_taken_for_a_flash_far_off(tilt):
-    photo = polished(roughness=0.35, tilt=tilt, noise=0.03)
-    setup = fit_coarse(photo).setup
+    setup = fit_coarse(polished(roughness=0.35, tilt=tilt, noise=0.03)).setup
     assert math.dist(setup.offset[:2], (0.1, 0.05)) < 0.03
     assert math.degrees(math.dist(setup.tilt, tilt)) < 1.5
 

@@ -220,8 +220,7 @@ def quadratic(x):
 
 
 def test_a_curved_valley_is_followed_to_its_least_cost():
-    start = np.array([-1.2, 1.0])
-    least, found = minimised(cost, quadratic, start, 100)
+    least, found = minimised(cost, quadratic, np.array([-1.2, 1.0]), 100)
     assert np.allclose(found, 1.0, atol=1e-6) and least == cost(found)
 
 

@@ -131,12 +131,10 @@ def photographed(burnt: bool):
 def test_clipped_texels_do_not_decide_the_encoding():
     """Neither of what middle grey is, nor of how much the texture varies."""
     sound, burnt = (plane_of(*photographed(with_burnt)) for with_burnt in (False, True))
-    left = sound.linear[:, :, :128]
-    assert burnt.encoding.median == float(left.mean(0).median())
+    assert burnt.encoding.median == float(sound.linear[:, :, :128].mean(0).median())
     # Away from the border, where shading's means reach over it.
     for plane in (sound, burnt):
-        deviation = plane.encoded()[:, :, :64].std()
-        assert 0.5 < float(deviation) < 1.5
+        assert 0.5 < float(plane.encoded()[:, :, :64].std()) < 1.5
 
 
 def test_the_encoding_without_valid_texels_uses_all():
@@ -270,8 +268,7 @@ def test_a_border_that_is_another_thing_is_proposed_to_be_cut_off(photo):
     crop = border_crop(edged)
     assert (crop.x, crop.y, crop.width) == (0, 0, WIDTH)
     assert HEIGHT - 22 <= crop.height <= HEIGHT - 14
-    standing = replace(edged, turned=True, original_size=(HEIGHT, WIDTH))
-    crop = border_crop(standing)
+    crop = border_crop(replace(edged, turned=True, original_size=(HEIGHT, WIDTH)))
     assert (crop.y, crop.height) == (0, WIDTH) and 14 <= crop.x <= 22
     result = [found for found in inspect_photo(edged).findings if found.name == "crop"]
     assert "--crop 0,0," in result[0].remedy

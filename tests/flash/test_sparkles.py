@@ -51,8 +51,7 @@ def test_sparkles_become_lower_bounds(sparkling):
 
 @pytest.mark.parametrize("width", [0.02, 0.04, 0.1, 0.3])
 def test_highlights_are_no_sparkles(width):
-    photo = photo_of(spot(width, 12.0))
-    limited = limit_sparkles(photo)
+    limited = limit_sparkles(photo_of(spot(width, 12.0)))
     assert limited.clipped.mean() < 1e-3 and limited.pixels.max() > 11.0
 
 

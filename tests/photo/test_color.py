@@ -125,8 +125,7 @@ def test_p3_jpeg_comes_out_as_rec709(photo_of):
     picture = np.repeat(patches, 32, axis=0)[None].repeat(96, axis=0)
     options = {"quality": 100, "subsampling": 0}
     photo = photo_of(picture, "p3.jpg", icc_profile=matrix_profile(), **options)
-    measured = photo.pixels[48, 16::32]
-    np.testing.assert_allclose(measured, rec709, atol=8e-3)
+    np.testing.assert_allclose(photo.pixels[48, 16::32], rec709, atol=8e-3)
     assert any("Display P3" in note for note in photo.notes)
     unmanaged = photo_of(picture, "plain.jpg", **options)
     assert np.abs(unmanaged.pixels[48, 16::32] - rec709).max() > 0.03
@@ -546,8 +545,7 @@ def test_colour_code_points_of_nclx_are_followed(tmp_path, form):
 def test_worked_values_of_the_curves():
     """Diffuse white of BT.2408 is 58 % of PQ and 75 % of HLG."""
     assert pq_decode(np.array(0.5806888)) == pytest.approx(1.0, rel=1e-4)
-    white = hlg_decode(np.array(0.75))
-    assert white**1.2 == pytest.approx(1.0, rel=1e-2)
+    assert hlg_decode(np.array(0.75)) ** 1.2 == pytest.approx(1.0, rel=1e-2)
     assert space_of_code_points(2, 2) is SRGB and space_of_code_points(3, 1) is None
 
 

@@ -67,8 +67,7 @@ def test_one_hot_pixel_changes_no_other(tmp_path, bright, name):
 
 
 def test_a_level_that_many_pixels_share_is_the_limit(tmp_path, bright):
-    cut = np.minimum(bright, 3.0)
-    WRITERS["a.exr"](tmp_path / "a.exr", cut)
+    WRITERS["a.exr"](tmp_path / "a.exr", np.minimum(bright, 3.0))
     photo = load_photo(tmp_path / "a.exr")
     assert photo.headroom == pytest.approx(3.0, rel=1e-3)
     np.testing.assert_array_equal(photo.clipped, (bright >= 3.0 * (1.0 - 1e-4)).any(axis=2))

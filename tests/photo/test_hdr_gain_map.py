@@ -102,8 +102,7 @@ def test_a_gain_map_of_apple_is_applied(tmp_path, codes, gains, smaller, note, h
 
 
 def test_a_gain_map_of_apple_may_have_a_profile(tmp_path, codes, gains):
-    curve = parametric(0, 1.0)
-    profile = matrix_profile(curve=curve, name="linear")
+    profile = matrix_profile(curve=parametric(0, 1.0), name="linear")
     map_of = jpeg(np.stack([gains] * 3, axis=-1), [apple_xmp(4.0)], icc_profile=profile)
     photo = load_photo(write(tmp_path / "a.jpg", jpeg(codes), map_of))
     light = srgb_decode(codes / 255.0) * (1.0 + 3.0 * gains[..., None] / 255.0)
@@ -203,8 +202,7 @@ def test_agrees_with_libultrahdr(tmp_path, codes):
         theirs = imagecodecs.ultrahdr_decode(path.read_bytes()).astype(np.float32)
     except Exception:
         pytest.skip("this imagecodecs has no libultrahdr")
-    photo = load_photo(path)
-    error = np.abs(photo.pixels / np.maximum(theirs[..., :3], 1e-3) - 1.0)
+    error = np.abs(load_photo(path).pixels / np.maximum(theirs[..., :3], 1e-3) - 1.0)
     lit = theirs[..., :3].min(axis=2) > 0.02
     # libultrahdr samples its smaller map half a texel aside.
     assert np.median(error[lit]) < 0.01 and np.quantile(error[lit], 0.9) < 0.02
@@ -212,8 +210,7 @@ def test_agrees_with_libultrahdr(tmp_path, codes):
 
 def test_steps_of_a_smooth_map_are_undone_and_its_edges_kept():
     """Codes of a percent of light and more banded glaze; bilinear ones were rounded again."""
-    across = np.linspace(20.2, 60.7, 64)
-    true = np.tile(across, (48, 1))
+    true = np.tile(np.linspace(20.2, 60.7, 64), (48, 1))
     true[20:30, 30:40] += 90.0
     stored = np.rint(true).astype(np.uint8)[..., None]
     gains = np.exp2(4.0 * np.arange(256) / 255.0).astype(np.float32)[:, None]

@@ -93,8 +93,7 @@ def test_the_sign_of_the_tilt_is_right(shots):
     """RAW, as captures estimate it: no farther off than half of what square to the sample is."""
     errors, square = [], []
     for name, index in (("leather", 1), ("granite", 2), ("rust", 1)):
-        shot = shots[name, index]
-        value = photograph_quality(as_photo(shot, 1, name))["tilt"].value
+        value = photograph_quality(as_photo(shots[name, index], 1, name))["tilt"].value
         tilt_x, tilt_y = (math.degrees(angle) for angle in SETUPS[index].tilt)
         errors += [value["up"] - tilt_x, value["right"] + tilt_y]
         square += [tilt_x, tilt_y]
@@ -186,8 +185,7 @@ def test_softness_estimates_the_blur_in_pixels(blur):
     rng = np.random.default_rng(0)
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(512), np.fft.fftfreq(512)))
     frequency[0, 0] = np.inf
-    spectrum = np.fft.rfft2(rng.normal(size=(512, 512))) / frequency
-    pattern = np.fft.irfft2(spectrum)
+    pattern = np.fft.irfft2(np.fft.rfft2(rng.normal(size=(512, 512))) / frequency)
     picture = np.exp(0.1 * cv2.GaussianBlur(pattern / pattern.std(), (0, 0), blur))
     found = softness(np.repeat(picture[..., None], 3, axis=2).astype(np.float32))
     assert found == pytest.approx(blur, rel=0.25)
@@ -216,8 +214,7 @@ def test_the_command_prints_json_and_goes_on_after_a_bad_file(shots, tmp_path, c
     write_shot(tmp_path / "a.dng", shots["leather", 0], 1, shading=0.4)
     (tmp_path / "b.jpg").write_bytes(b"\xff\xd8\xff nothing")
     code = main(["inspect", str(tmp_path / "a.dng"), str(tmp_path / "b.jpg"), "--json"])
-    said = capsys.readouterr()
-    good, bad = json.loads(said.out)["photographs"]
+    good, bad = json.loads(capsys.readouterr().out)["photographs"]
     assert code == 4 and good["radiometric"]["value"] is True
     assert "the flash fired" in good["flash"]["message"]
     assert abs(good["tilt"]["value"]["degrees"]) < 8
@@ -314,8 +311,7 @@ def test_the_board_gives_scale_and_tilt(calibration):
 
 
 def test_the_patches_give_the_flash_intensity(shot, calibration):
-    distance = shot.setup.distance
-    found = math.pi * distance**2 * calibration.white
+    found = math.pi * shot.setup.distance**2 * calibration.white
     assert found == pytest.approx(shot.setup.intensity[0], rel=0.04)
     # The DNG's own matrix is right already.
     np.testing.assert_allclose(calibration.matrix, np.eye(3), atol=0.06)

@@ -168,8 +168,7 @@ def test_a_small_dng_is_called_too_small_not_damaged(tmp_path, size):
 
 
 def test_odd_sizes_are_decoded(tmp_path):
-    light = np.full((97, 131, 3), 0.3)
-    path = write_dng(tmp_path / "a.dng", mosaic(light))
+    path = write_dng(tmp_path / "a.dng", mosaic(np.full((97, 131, 3), 0.3)))
     for long_side, shape in [(None, (97, 131)), (65, (48, 65)), (100, (74, 100))]:
         photo = load_photo(path, long_side=long_side)
         assert photo.pixels.shape == (*shape, 3)
@@ -499,8 +498,7 @@ def test_linear_dng_by_plane(tmp_path, grid, option):
     samples = np.rint(BLACK + light * (WHITE - BLACK)).astype(np.uint16)
     options = {option: opcode_list(gain_map(tinted, SIZE, planes=3))}
     options["color_matrix"] = color_matrix(mixing)
-    path = write_dng(tmp_path / "a.dng", samples, **options)
-    picture = load_photo(path)
+    picture = load_photo(write_dng(tmp_path / "a.dng", samples, **options))
     assert picture.gain_map_applied
     inside = picture.pixels[~picture.clipped]
     assert len(inside) > 0.9 * picture.clipped.size

@@ -43,8 +43,7 @@ def test_black_levels_by_row_and_column_are_subtracted(tmp_path):
         (50715, 10, SIZE[1], rationals(by_column, 1), True),
         (50716, 10, SIZE[0], rationals(by_row, 1), True),
     ]
-    path = write_dng(tmp_path / "a.dng", stored, more=more)
-    photo = load_photo(path, noise=False)
+    photo = load_photo(write_dng(tmp_path / "a.dng", stored, more=more), noise=False)
     np.testing.assert_allclose(photo.pixels, GREY, rtol=0.01)
 
 

@@ -71,8 +71,7 @@ def test_a_stated_ratio_decides_what_a_darker_jpeg_and_light_leave_open(stops, c
     values = LIGHT, noisy(tone.developed(k * LIGHT))
     ratio = fit_ratio(*values, (LINEAR, CODED), k)
     assert math.log2(ratio.darker / k) == pytest.approx(0.0, abs=0.2)
-    again = ratio.curve.linear(values[1]) / LIGHT
-    assert np.std(np.log(again)) < 0.05
+    assert np.std(np.log(ratio.curve.linear(values[1]) / LIGHT)) < 0.05
     # A wrong one is outvoted by tones where these tell: a JPEG brighter than the light.
     values = tone.developed(LIGHT), noisy(k * LIGHT)
     ratio = fit_ratio(*values, (CODED, LINEAR), 0.7 * k)
@@ -81,8 +80,7 @@ def test_a_stated_ratio_decides_what_a_darker_jpeg_and_light_leave_open(stops, c
 
 def test_gain_maps_have_no_shoulder():
     tones = WITH_GAIN_MAP
-    light = LIGHT**1.04
-    ratio = fit_ratio(light, (LIGHT / 8.0) ** 1.04, (tones, tones), 1 / 8)
+    ratio = fit_ratio(LIGHT**1.04, (LIGHT / 8.0) ** 1.04, (tones, tones), 1 / 8)
     assert ratio.curve.shoulder == 0.0 and ratio.curve.exponent == pytest.approx(1.04, rel=0.01)
 
 

@@ -232,8 +232,7 @@ def test_normals_in_floats_are_judged_by_most_of_them(plain, signed, channels, s
     if stray is not None:
         normal[3, 5, 0] = stray
     exr_normals(folder, normal[..., :channels], ("R", "G", "B")[:channels])
-    found = read_foreign(folder).texture
-    off = np.abs(found.slopes - expected.slopes)
+    off = np.abs(read_foreign(folder).texture.slopes - expected.slopes)
     off[:, 3, 5] = 0.0
     assert off.max() < 2e-3
 
@@ -279,8 +278,7 @@ def test_what_is_no_normal_map_is_refused(plain):
     png(folder / "a_NormalGL.png", pictures["rough"])
     with pytest.raises(MatcapError, match="one channel"):
         read_foreign(folder)
-    below = pictures["gl"] * [1.0, 1.0, -1.0] + [0.0, 0.0, 1.0]
-    png(folder / "a_NormalGL.png", below)
+    png(folder / "a_NormalGL.png", pictures["gl"] * [1.0, 1.0, -1.0] + [0.0, 0.0, 1.0])
     with pytest.raises(MatcapError, match="point away"):
         read_foreign(folder)
 
@@ -372,8 +370,7 @@ def test_a_coloured_scalar_map_is_noted(plain):
 def test_the_largest_map_sets_the_size(plain):
     folder, _, expected = plain
     png(folder / "a_Color.png", np.full((1, 1, 3), 0.5, np.float32))
-    found = read_foreign(folder).texture
-    np.testing.assert_allclose(found.slopes, expected.slopes)
+    np.testing.assert_allclose(read_foreign(folder).texture.slopes, expected.slopes)
     png(folder / "a_Color.png", np.full((64, 32, 3), 0.5, np.float32))
     with pytest.raises(MatcapError, match="another aspect ratio"):
         read_foreign(folder)
@@ -526,8 +523,7 @@ def test_specular_beside_a_diffuse_map_is_f0(plain):
 def test_normals_of_object_space_are_refused(plain):
     """By name, and by their look: of a sphere, and of a plane that faces +y."""
     folder, _, _ = plain
-    file = next(folder.glob("a_Normal*"))
-    file.rename(folder / "a_NormalOS.png")
+    next(folder.glob("a_Normal*")).rename(folder / "a_NormalOS.png")
     with pytest.raises(MatcapError, match=r"object or world space \(a_NormalOS"):
         read_foreign(folder)
     (folder / "a_NormalOS.png").unlink()

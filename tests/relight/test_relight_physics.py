@@ -49,8 +49,7 @@ def mirrored_rule(view, alpha, order=600):
     spread = 1.0 + (alpha**2 - 1.0) * z**2
     density = alpha**2 / (math.pi * spread**2) * z / (4.0 * np.maximum(along, 1e-12))
     to_light = tuple(2.0 * along * h - v for h, v in zip((x, y, z), view, strict=True))
-    seen = (to_light[2] > 1e-9) & (along > 0.0)
-    return to_light, np.where(seen, step / density, 0.0)
+    return to_light, np.where((to_light[2] > 1e-9) & (along > 0.0), step / density, 0.0)
 
 
 def lobe_albedo(mu, roughness):
@@ -90,8 +89,7 @@ def test_a_white_lobe_with_compensation_reflects_all_light(roughness, mu):
 
 
 def test_compensation_is_reciprocal():
-    generator = np.random.default_rng(0)
-    mu_v, mu_l, alpha = generator.random((3, 1000))
+    mu_v, mu_l, alpha = np.random.default_rng(0).random((3, 1000))
 
     def lobe(view, light):
         near = albedo().near(alpha)
@@ -238,8 +236,7 @@ def test_parallax_of_a_raised_plane():
 
 
 def test_parallax_hits_lie_on_the_surface_and_on_the_ray():
-    maps = bumpy(32, 24, seed=4, relief=0.2)
-    relief = Relief(Texture.from_maps(maps), 1.0, 1.0)
+    relief = Relief(Texture.from_maps(bumpy(32, 24, seed=4, relief=0.2)), 1.0, 1.0)
     u, v = np.random.default_rng(2).uniform(-0.5, 0.5, (2, 1, 500))
     view = tuple(np.full((1, 500), c, dtype=np.float32) for c in (0.3, -0.5, 0.812))
     (hit_u, hit_v), height = parallax.shift(relief, (u, v), view)
@@ -305,8 +302,7 @@ def test_interreflection_warms_what_faces_a_coloured_wall():
 
 def directions(count, seed):
     """(3, count) unit vectors of the upper hemisphere, float64."""
-    generator = np.random.default_rng(seed)
-    vectors = generator.normal(size=(3, count))
+    vectors = np.random.default_rng(seed).normal(size=(3, count))
     vectors[2] = np.abs(vectors[2])
     return vectors / np.linalg.norm(vectors, axis=0)
 
@@ -410,8 +406,7 @@ def test_a_plan_knows_the_brightest_channel():
     maps = flat(diffuse=0.0)
     colour = torch.tensor([0.02, 0.03, 0.9])[:, None, None]
     blue = replace(maps, specular=colour * maps.height.add(1))
-    texture = Texture.from_maps(blue)
-    assert texture.extremes.specular == pytest.approx(0.9)
+    assert Texture.from_maps(blue).extremes.specular == pytest.approx(0.9)
     facing = Scene(Film(8, 6), None, Surface(), (PointLight((0.0, 0.0, 2.0)),))
     steps = {step.effect: step.bound for step in Renderer(blue, facing).render().plan.steps}
     dark = Renderer(replace(maps, specular=maps.specular * 0.0 + 0.03), facing).render().plan

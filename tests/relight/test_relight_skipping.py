@@ -104,8 +104,7 @@ def test_effects_can_be_forced_on_and_off():
     assert renderer.render(effects="all").plan.running == set(EFFECTS)
     dark = renderer.render(effects="none")
     assert not dark.plan.running and not dark.radiance.any()
-    only = renderer.render(effects="none,+diffuse")
-    assert only.plan.running == {"diffuse"}
+    assert renderer.render(effects="none,+diffuse").plan.running == {"diffuse"}
     without = renderer.render(effects="-shadows,+area").plan
     assert not without.on("shadows") and without.on("area") and without.on("parallax")
 
@@ -132,8 +131,7 @@ def test_a_looser_tolerance_never_runs_more():
 
 
 def test_the_plan_says_why_and_how_long():
-    plan = Renderer(bumpy(), scene_from_light("left")).render().plan
-    rows = plan.rows()
+    rows = Renderer(bumpy(), scene_from_light("left")).render().plan.rows()
     assert [row["effect"] for row in rows] == list(EFFECTS)
     assert all(row["reason"] and np.isfinite(row["milliseconds"]) for row in rows)
     assert any(row["milliseconds"] > 0.0 for row in rows if row["on"])
@@ -248,8 +246,7 @@ def difference(maps, scene):
 def test_named_scenes_by_plan_equal_those_with_all_effects(name):
     film = Film(80, 60, exposure=SCENES[name].film.exposure)
     scene = Scene(film, SCENES[name].camera, SCENES[name].surface, SCENES[name].lights)
-    maps = bumpy(128, 128, relief=0.03)
-    off, planned = difference(maps, scene)
+    off, planned = difference(bumpy(128, 128, relief=0.03), scene)
     assert np.abs(off).max() <= 1.0 and all(0.0 <= step.share <= 1.0 for step in planned.plan.steps)
 
 

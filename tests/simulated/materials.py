@@ -56,8 +56,7 @@ class Canvas:
 
         The number is in [0, 1), one for each cell.
         """
-        random = self.random(label)
-        points = random.random((3, _LATTICE, _LATTICE))
+        points = self.random(label).random((3, _LATTICE, _LATTICE))
         u, v = self.x / size, self.y / size
         column, row = np.floor(u).astype(int), np.floor(v).astype(int)
         nearest = second = np.full(u.shape, np.inf)

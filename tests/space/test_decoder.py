@@ -275,8 +275,7 @@ def test_incompatible_materials_are_not_blended(prior):
     with pytest.raises(UsageError, match="not between 0 and 1"):
         blend(a, a, 1.5)
     wider = Decoder(DecoderConfig(4, (8, 8, 8, 8, 16), (1, 1)))
-    tuned = replace(a.part(TunedDecoder), decoder=wider, waves=())
-    b = tuned.material("b", a.setup)
+    b = replace(a.part(TunedDecoder), decoder=wider, waves=()).material("b", a.setup)
     with pytest.raises(MatcapError, match="different shapes"):
         blend(a, b, 0.5)
 
@@ -319,8 +318,7 @@ def test_a_lattice_is_found_again_and_patches_keep_to_it():
 
 
 def test_setups_of_a_portrait_and_a_landscape_keep_the_nearer_ones_geometry():
-    example = Example.of(blobs(112, 96))
-    lying = a_material("lying", example=example).by("example")
+    lying = a_material("lying", example=Example.of(blobs(112, 96))).by("example")
     turned = replace(lying.setup, turned=True, tilt=(0.1, 0.0), intensity=(3.0, 3.0, 3.0))
     standing = replace(lying, setup=turned)
     assert blend(lying, standing, 0.25).setup == lying.setup.with_intensity((1.5, 1.5, 1.5))
@@ -347,8 +345,7 @@ def test_the_shipped_prior_loads_and_draws():
     assert SHIPPED.stat().st_size < 30e6
     prior = load_prior()
     assert SHIPPED.with_suffix(".md").is_file() and len(prior.anchors) == 346
-    maps = prior.draw(0).maps(32, 32).stacked()
-    assert bool(torch.isfinite(maps).all())
+    assert bool(torch.isfinite(prior.draw(0).maps(32, 32).stacked()).all())
     mean = torch.tensor(prior.about["code_mean"])
     variance = torch.tensor(prior.about["code_variance"])
     assert float(mean.abs().max()) < 0.05 and float((variance - 1).abs().max()) < 0.05

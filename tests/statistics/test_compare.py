@@ -131,8 +131,7 @@ def test_the_encoding_gives_texture_unit_variance_and_no_correlation():
 def test_the_distance_falls_against_its_gradient():
     target = described(texture(4))
     linear = texture(5, seed=2).requires_grad_()
-    before = distance(described(linear), target, Weights()).sum()
-    before.backward()
+    distance(described(linear), target, Weights()).sum().backward()
     slope = linear.grad
     step = 1e-4 * slope / slope.norm()
     up = distance(described(linear.detach() + step), target, Weights()).sum()
@@ -217,8 +216,7 @@ def test_a_pyramid_halves_and_keeps_the_mean_down_to_the_least_size(side, levels
 
 def plain(features):
     """What gram() is a fast form of."""
-    ones = torch.ones_like(features[:, :1])
-    flat = torch.cat([features, ones], dim=1).flatten(2)
+    flat = torch.cat([features, torch.ones_like(features[:, :1])], dim=1).flatten(2)
     return torch.einsum("bin,bjn->bij", flat, flat) / flat.shape[2]
 
 

@@ -151,8 +151,7 @@ def test_without_a_preview_an_older_one_is_removed(material, tmp_path):
     ],
 )
 def test_about_a_megapixel_is_shown_of_any_size(whole, repeats, shown):
-    area = Rectangle(7, -5, *whole)
-    preview = preview_of(area, whole if repeats else None)
+    preview = preview_of(Rectangle(7, -5, *whole), whole if repeats else None)
     x, y, width, height = shown
     assert preview.shown == Rectangle(7 + x, y - 5, width, height)
     assert preview.repeats == (repeats, repeats)

@@ -189,8 +189,7 @@ def test_smaller_levels_are_averages(material, tmp_path):
 
 def test_a_request_is_written_as_the_field_reads(material, tmp_path):
     asked = SynthRequest(material, Rectangle(-20, 7, 48, 32), seed=3)
-    file = synthesise(asked, tmp_path / "set")
-    maps, document = read_mapset(file)
+    maps, document = read_mapset(synthesise(asked, tmp_path / "set"))
     expected = material.maps(48, 32, seed=3, x=-20, y=7)
     torch.testing.assert_close(maps.height, expected.height)
     assert (document["name"], document["seed"]) == (material.name, 3)

@@ -57,8 +57,7 @@ def pages(subject):
 
 @pytest.fixture(scope="module")
 def client(pages):
-    app = server.make_app(pages, ADDRESS, PHOTO)
-    return testclient.TestClient(app, base_url=BASE)
+    return testclient.TestClient(server.make_app(pages, ADDRESS, PHOTO), base_url=BASE)
 
 
 def get(client, path, **query):
@@ -127,8 +126,7 @@ def test_a_tile_holds_the_texels_of_the_field(client, material, column, row, see
         column * WIDTH - APRON, row * PAGE_HEIGHT - APRON,
         WIDTH + 2 * APRON, PAGE_HEIGHT + 2 * APRON, workers=1,
     )  # fmt: skip
-    found = levels_of(answer.content)[0]
-    check_texels(found, maps)
+    check_texels(levels_of(answer.content)[0], maps)
     about = json.loads(answer.headers["x-page"])
     assert about["texel_size"] == material.texel_size
     assert about["ends"]["height"] == [maps.height.min().item(), maps.height.max().item()]

@@ -266,8 +266,7 @@ def exemplar_nsd(taken: TakenSubject, result: CaptureResult) -> Mapping[str, Val
     """Normalised style distance of the exemplar, tilts, and seconds of the capture."""
     assert result.estimate is not None
     maps, evaluator = map_set_of(result.estimate.first_rectangle), taken.evaluator
-    middle = evaluator.middle(maps)
-    numbers = compared_numbers(middle, evaluator.truths)
+    numbers = compared_numbers(evaluator.middle(maps), evaluator.truths)
     return {
         "seconds": sum(result.stage_seconds.values()),
         "NSD": evaluator.style_ratio_of(maps, result.material.setup.intensity),

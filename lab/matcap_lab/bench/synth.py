@@ -194,8 +194,7 @@ def material(config: DecoderConfig) -> TunedDecoder:
         torch.manual_seed(0)
         decoder = Decoder(config).eval().requires_grad_(False)
     code = torch.zeros(CODE_SIZE)
-    moments = tuple(freeze(decoder, code, ()))
-    return TunedDecoder(decoder, code, moments, (), 2 / 1024)
+    return TunedDecoder(decoder, code, tuple(freeze(decoder, code, ())), (), 2 / 1024)
 
 
 def paper_form(decoder: Decoder, code: Tensor, noise: Tensor) -> Tensor:

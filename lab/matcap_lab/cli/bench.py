@@ -427,8 +427,7 @@ def _measured(experiment: Experiment[Any, Any], out: Path, name: str = "") -> li
     from matcap_lab.experiment.runner import run
 
     check_writable(out, 200_000_000)
-    table = out / f"{name or experiment.name}.csv"
-    return run(experiment, table, printer(quiet=False))
+    return run(experiment, out / f"{name or experiment.name}.csv", printer(quiet=False))
 
 
 def _print(

@@ -269,8 +269,7 @@ def _trial(row: dict[str, str | None]) -> Trial:
     if not keys["experiment"] or not keys["configuration"] or None in row:
         raise ValueError("no experiment and configuration stand in it")
     values = {name: _value(text or "") for name, text in row.items()}
-    seed = int(keys.pop("seed") or 0)
-    return Trial(values=values, seed=seed, **keys)
+    return Trial(values=values, seed=int(keys.pop("seed") or 0), **keys)
 
 
 def _value(text: str) -> Value:

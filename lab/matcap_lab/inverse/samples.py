@@ -114,8 +114,7 @@ def training_material(rng: np.random.Generator) -> RealiseAt:
 def draw_setup(rng: np.random.Generator) -> FlashSetup:
     """Draw camera and flash: field of view 40 to 90 degrees, flash 1 to 3 cm from the lens."""
     fov = rng.uniform(40.0, 90.0)
-    distance = FlashSetup(fov=fov).distance
-    radius = distance * rng.uniform(0.01, 0.1)
+    radius = FlashSetup(fov=fov).distance * rng.uniform(0.01, 0.1)
     around = rng.uniform(0.0, 2.0 * math.pi)
     tilt = np.clip(rng.normal(0.0, math.radians(3.5), 2), -0.26, 0.26)
     return FlashSetup(
@@ -243,8 +242,7 @@ def _fitted(
     # The highlight is as wide as that of the texels of highest F0: of bare metal between rust.
     specular = truth.specular.mean(0, keepdim=True)
     mirrored = (specular * truth.roughness.square()).mean() / specular.mean()
-    alpha = (mirrored.square() + 0.5 * slopes).clamp(1e-4, 0.9).sqrt()
-    roughness = float(alpha.sqrt())
+    roughness = float((mirrored.square() + 0.5 * slopes).clamp(1e-4, 0.9).sqrt().sqrt())
     logit = math.log(roughness / (1.0 - roughness)) + rng.normal(0.0, 0.35)
     shift = rng.normal(0.0, 0.015, 2)
     lean = rng.normal(0.0, 0.01, 2)
@@ -269,8 +267,7 @@ def _fitted(
     for _ in range(2):
         radiance, diffuse = uniform_radiance(uniform, light)
         over = (linear[thin] - (radiance - diffuse))[:, seen].median(1).values
-        under = diffuse[:, seen].median(1).values
-        gain = (over / under).clamp(0.5, 2.0).tolist()
+        gain = (over / diffuse[:, seen].median(1).values).clamp(0.5, 2.0).tolist()
         red, green, blue = (min(v * g, 0.95) for v, g in zip(uniform.diffuse, gain, strict=True))
         uniform = replace(uniform, diffuse=(red, green, blue))
     return uniform

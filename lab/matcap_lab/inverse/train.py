@@ -232,8 +232,7 @@ def _lights(sample: Sample, rng: np.random.Generator) -> tuple[Sequence[float], 
     up = rng.uniform(0.6, 2.5)
     there = 1.0 + up / sample.uniform.setup.distance
     polar, around = math.radians(rng.uniform(15.0, 68.0)), rng.uniform(0.0, 2.0 * math.pi)
-    distance = rng.uniform(1.3, 3.0)
-    return (x * there, y * there, up), spherical(distance, polar, around)
+    return (x * there, y * there, up), spherical(rng.uniform(1.3, 3.0), polar, around)
 
 
 def _slopes(height: Tensor) -> list[Tensor]:

@@ -74,8 +74,7 @@ class Spectrum:
         """Length of (fx, fy), y downwards, after undoing stretch and angle; cycles a plane unit."""
         cosine, sine = math.cos(self.angle), math.sin(self.angle)
         along = (fx * cosine - fy * sine) * self.stretch
-        across = fx * sine + fy * cosine
-        return np.hypot(along, across)
+        return np.hypot(along, fx * sine + fy * cosine)
 
     def amplitude(self, fx: Raster, fy: Raster) -> Raster:
         """Amplitude at (fx, fy), in cycles per plane unit; 0 at frequency 0."""
@@ -127,8 +126,7 @@ def _synthesise(canvas: Canvas, label: str, spectrum: Spectrum, *, unit_slope: b
     limit_x, limit_y = spectrum.limits()
     last_x, last_y = max(1, int(limit_x * extent_x)), max(1, int(limit_y * extent_y))
     column = np.arange(last_x + 1)[None, :]
-    row = np.arange(-last_y, last_y + 1)[:, None]
-    fx, fy = column / extent_x, row / extent_y
+    fx, fy = column / extent_x, np.arange(-last_y, last_y + 1)[:, None] / extent_y
     amplitude = spectrum.amplitude(fx, fy)
     # Columns other than the zeroth count twice: for themselves and their conjugates.
     weight = np.where(column == 0, 1.0, 2.0)
@@ -329,8 +327,7 @@ def colour(red: float, green: float, blue: float) -> Raster:
 
 def pick(palette: Raster, index: Raster) -> Raster:
     """(3, H, W) colours from a (N, 3) palette at (H, W) places in [0, 1)."""
-    chosen = (index * len(palette)).astype(np.int64)
-    return np.moveaxis(palette[chosen], -1, 0)
+    return np.moveaxis(palette[(index * len(palette)).astype(np.int64)], -1, 0)
 
 
 # From the fields of a procedural material to a MapSet.

@@ -265,8 +265,7 @@ def read_surface(folder: Path) -> tuple[Floats, Floats]:
     if metallic is None:
         bare = folder.name in bare_metals(folder.parent / "manifest.json")
         metallic = np.full_like(roughness, float(bare))
-    both = metallic_of(base, metallic)
-    return np.concatenate([both, roughness, metallic]), slopes
+    return np.concatenate([metallic_of(base, metallic), roughness, metallic]), slopes
 
 
 def map_set_folders(folder: Path) -> list[Path]:

@@ -221,8 +221,7 @@ def grains(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Ras
 def creases(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:
     """Plates parted by creases: leather, cracks, scales."""
     cell = _cells(canvas, label, shape)
-    width = 0.08 + 0.4 * shape.share
-    crease = np.exp(-((cell.border / width) ** 2))
+    crease = np.exp(-((cell.border / (0.08 + 0.4 * shape.share)) ** 2))
     dome = 1.0 - cell.nearest**2 if shape.variant else 0.0
     return crease, 0.5 * dome * (1.0 - crease) - 0.5 * crease
 
@@ -257,8 +256,7 @@ def knit(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raste
     row = np.floor(stitch).astype(np.int64)
     relief = np.sqrt(np.clip(1.0 - (2.0 * fold - 1.0) ** 2, 0.0, 1.0)) * (0.6 + 0.4 * np.cos(along))
     dye = canvas.stream(label + " dye").random(int(row.max()) + 1)[row]
-    mask = 0.6 * relief + 0.4 * (dye < shape.share)
-    return mask, relief
+    return 0.6 * relief + 0.4 * (dye < shape.share), relief
 
 
 def ribs(canvas: Canvas, label: str, shape: PatternShape) -> tuple[Raster, Raster]:

@@ -446,8 +446,7 @@ def write_grid(pictures: Sequence[Tensor], columns: int, path: Path) -> None:
     Raises:
         MatcapError: the file cannot be written.
     """
-    blank = torch.zeros_like(pictures[0])
-    padded = [*pictures, *[blank] * (-len(pictures) % columns)]
+    padded = [*pictures, *[torch.zeros_like(pictures[0])] * (-len(pictures) % columns)]
     rows = [torch.cat(padded[i : i + columns], dim=2) for i in range(0, len(padded), columns)]
     code = torch.cat(rows, dim=1).permute(1, 2, 0).numpy()[..., ::-1]
     share = _SHOWN / pictures[0].shape[-2]

@@ -89,8 +89,7 @@ def test_fields_are_of_what_is_named(lab, asked, tmp_path):
 
 def bricks(width, height):
     y, x = np.mgrid[:300, :400]
-    row = y // height
-    shifted = (x + row % 2 * (width // 2)) % width
+    shifted = (x + (y // height) % 2 * (width // 2)) % width
     return np.where((y % height < 3) | (shifted < 3), 0.0, 1.0).astype(np.float32)
 
 
@@ -203,8 +202,7 @@ def test_a_cut_shows_in_albedo_and_slope():
 
 def test_a_seam_that_what_it_shows_hides_measures_one():
     """Of a piece that repeats: another place, and the same texels."""
-    maps = np.tile(waves(400, 300), (1, 1, 2))
-    found = measured_seams(maps, split((300, 0)))
+    found = measured_seams(np.tile(waves(400, 300), (1, 1, 2)), split((300, 0)))
     for name in ("seam albedo", "seam slope"):
         assert 0.8 < found[name] < 1.25 and 0.7 < found[f"{name} 99 %"] < 1.3
 
@@ -321,8 +319,7 @@ def test_its_page_and_picture_are_of_the_table(measured, folder):
 def test_a_megapixel_has_no_other_effects_than_its_plan(folder):
     experiment = plan_experiment([folder / "lamp.toml"], repeats=1)
     assert experiment.skips(MEGAPIXEL, EVERYTHING) and not experiment.skips("lamp", EVERYTHING)
-    lit = experiment.subjects["lamp"]()
-    found = experiment.configurations["plan"].run(lit, 0)
+    found = experiment.configurations["plan"].run(experiment.subjects["lamp"](), 0)
     assert found["effects"] >= 1.0 and found["seconds"] > 0.0
 
 

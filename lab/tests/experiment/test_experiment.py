@@ -215,8 +215,7 @@ def test_other_settings_are_measured_again_and_unknown_versions_count_where_they
 
 def test_what_fails_is_told_and_no_row(tmp_path):
     lines, dark = [], MatcapError("it has no light")
-    work = Sum()
-    experiment = work.experiment(failing={"two": dark, 5: None})
+    experiment = Sum().experiment(failing={"two": dark, 5: None})
     rows = run(experiment, tmp_path / "sum.csv", lines.append)
     assert [(row.subject, row.configuration) for row in rows] == [("a", "one")]
     assert lines[1:] == ["a, two: it has no light.", "b: it is dark."]

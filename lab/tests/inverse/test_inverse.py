@@ -346,8 +346,7 @@ def test_doubt_that_is_right_is_calibrated() -> None:
 
 def test_a_network_is_judged(sample: Sample) -> None:
     torch.manual_seed(0)
-    network = Inverse(TINY).eval()
-    judged = evaluate(network, [sample])
+    judged = evaluate(Inverse(TINY).eval(), [sample])
     assert sum(name.startswith("doubt of") for name in judged) == ERRORS
     assert all(np.isfinite(value) for value in judged.values())
     assert "| correlation |" in table({"a network": judged})
@@ -358,8 +357,7 @@ def test_a_step_stays_on_its_device() -> None:
     sample, settings = draw_sample(2, 64, 64), TrainSettings(device="meta")
     training = start(TINY, settings)
     loss, parts = step_loss(training.model, 0, [(sample.inputs, sample)], settings)
-    parameters = list(training.model.parameters())
-    gradients = torch.autograd.grad(loss, parameters)
+    gradients = torch.autograd.grad(loss, list(training.model.parameters()))
     tensors = (loss, *parts.values(), *gradients, *training.average.parameters())
     assert {tensor.device.type for tensor in tensors} == {"meta"}
     with pytest.raises(RuntimeError, match="device"):

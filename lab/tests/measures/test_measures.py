@@ -234,8 +234,7 @@ def points(values):
 
 
 def cloud(count, centre, seed):
-    generator = torch.Generator().manual_seed(seed)
-    return centre + torch.randn(count, 4, generator=generator)
+    return centre + torch.randn(count, 4, generator=torch.Generator().manual_seed(seed))
 
 
 def test_the_same_distribution_has_both():
@@ -265,8 +264,7 @@ def test_the_nearest_is_told():
 
 
 def test_distances_are_those_of_single_pictures():
-    generator = torch.Generator().manual_seed(0)
-    pictures = torch.rand(3, 3, 160, 160, generator=generator)
+    pictures = torch.rand(3, 3, 160, 160, generator=torch.Generator().manual_seed(0))
     result = describe_pictures(list(pictures))
     found, style = style_distances(result, result), RandomFilters()
     wanted = float(difference(style(pictures[:1]), style(pictures[2:])))
@@ -314,8 +312,7 @@ def test_ten_lights_are_spread_over_the_hemisphere():
 def test_every_light_gives_the_flash_s_brightness_in_the_middle():
     expected = 0.5 / math.pi * 2.0 / FLASH.distance**2
     for light in BENCH.lights:
-        middle = relight(even(65), light)[:, 32, 32]
-        linear = ((middle + 0.055) / 1.055) ** 2.4
+        linear = ((relight(even(65), light)[:, 32, 32] + 0.055) / 1.055) ** 2.4
         # Schlick's term leaves a little specular even at F0 = 0.
         np.testing.assert_allclose(linear, expected, rtol=0.05)
 
@@ -331,8 +328,7 @@ def test_strips_do_not_show():
     """Larger than a strip of rows; a tilted plane lit evenly has no lines."""
     maps = even(300)
     height = 0.3 * maps.texel_size * torch.arange(300.0)[None, :, None].expand(1, 300, 300)
-    tilted = replace(maps, height=height)
-    picture = relight(tilted, BENCH.lights[4])
+    picture = relight(replace(maps, height=height), BENCH.lights[4])
     assert (picture[:, 2:] - 2 * picture[:, 1:-1] + picture[:, :-2]).abs().max() < 1e-3
 
 
@@ -347,8 +343,7 @@ def test_finer_maps_are_averaged():
 
 def test_what_pixels_show_of_finer_maps_is_their_mean_radiance():
     # A checkerboard of black and white: half of white's light, not half of its code.
-    board = (torch.arange(64)[:, None] + torch.arange(64)) % 2
-    maps = even(64, albedo=0.5 * board)
+    maps = even(64, albedo=0.5 * ((torch.arange(64)[:, None] + torch.arange(64)) % 2))
     seen = relight(maps, BENCH.lights[2], size=(32, 32))
     grey = relight(even(32, 2.0 / 128), BENCH.lights[2], (1.0, 1.0, 1.0))
     torch.testing.assert_close(seen, grey, atol=2e-3, rtol=0)

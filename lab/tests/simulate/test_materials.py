@@ -73,8 +73,7 @@ def test_quarters_agree_in_their_statistics(name):
 
 def test_cloth_repeats_where_its_threads_do():
     """Period 26 texels at 1024 across: 13 a thread, two threads a period of plain weave."""
-    texel = 2.0 / 1024.0
-    warp = realise("cloth", 520, 390, 1, texel).diffuse[2].numpy()
+    warp = realise("cloth", 520, 390, 1, 2.0 / 1024.0).diffuse[2].numpy()
     line = warp - warp.mean()
     correlation = [float((line[:, lag:] * line[:, : 520 - lag]).mean()) for lag in range(10, 40)]
     assert 10 + int(np.argmax(correlation)) == pytest.approx(26, abs=1)
@@ -244,8 +243,7 @@ def test_the_stream_that_training_draws_from_is_what_it_was():
 def test_a_bench_accepts_them_by_name():
     found = subjects(["gold", "anodised:7"])
     assert [one.name for one in found] == ["gold", "anodised:7"]
-    maps = found[0].pieces(11)(64, 48, 2.0 / 64)
-    shot = render_rectified(maps, found[0].setup)
+    shot = render_rectified(found[0].pieces(11)(64, 48, 2.0 / 64), found[0].setup)
     bright = shot[:, shot.mean(0) > 0.5 * shot.mean(0).max()].mean(1).numpy()
     assert bright / bright.max() == pytest.approx(METAL_F0["gold"], rel=0.05)
 

@@ -283,8 +283,7 @@ def test_gain_map_undoes_the_shading(shot, tmp_path):
     rows = np.round((np.arange(180) + 0.5) / 180 * 12).astype(int)
     columns = np.round((np.arange(240) + 0.5) / 240 * 16).astype(int)
     flat = developed.mean(-1) * gains[rows[:, None], columns]
-    blocks = flat.reshape(6, 30, 6, 40).mean((1, 3))
-    np.testing.assert_allclose(blocks, 0.3, rtol=0.03)
+    np.testing.assert_allclose(flat.reshape(6, 30, 6, 40).mean((1, 3)), 0.3, rtol=0.03)
 
 
 def test_dng_without_shading_has_no_opcodes(shot, tmp_path):

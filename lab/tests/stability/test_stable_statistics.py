@@ -106,8 +106,7 @@ def test_spectra_and_their_gradients_are_finite(name, dtype):
 @pytest.mark.parametrize("name", WINDOWS)
 def test_no_order_is_invented(name):
     """Tiled to the size that is looked at; only true order may be found, and it is finite."""
-    encoding = fit_encoding(WINDOWS[name][0], ALL)
-    picture = encoding(WINDOWS[name])[0].repeat(1, 4, 4)
+    picture = fit_encoding(WINDOWS[name][0], ALL)(WINDOWS[name])[0].repeat(1, 4, 4)
     lattice = find_lattice(picture, torch.ones(256, 256, dtype=torch.bool))
     assert all(math.isfinite(w.fx) and math.isfinite(w.fy) for w in lattice.waves)
     if name in ("black", "white", "grey", "denormal"):

@@ -329,8 +329,7 @@ def test_the_encoding_follows_the_permutation(source):
     plain = cut(source, 48, 1, 1, Turn(), np.random.default_rng(4), augment=False)
     changed = cut(source, 48, 1, 1, Turn(), np.random.default_rng(4))
     found, wanted = changed.encoding(changed.linear), plain.encoding(plain.linear)
-    moved = (found - wanted).std(dim=(2, 3))
-    assert bool((moved < 0.1 * wanted.std(dim=(2, 3))).all())
+    assert bool(((found - wanted).std(dim=(2, 3)) < 0.1 * wanted.std(dim=(2, 3))).all())
 
 
 def test_folding_the_base_changes_no_output(prior, pack):

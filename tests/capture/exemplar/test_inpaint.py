@@ -95,8 +95,7 @@ def test_a_halo_is_found_around_a_clipped_core():
     halo = (away(MIRROR) > 24.0) & (away(MIRROR) < 48.0)
     albedo = texture(6) * np.where(halo, 1.6, 1.0)
     albedo[:, away(MIRROR) < 28.0] = 0.5
-    found = remaining_highlight(albedo, KNOWN, away(MIRROR))
-    assert found[away(MIRROR) < 44.0].all()
+    assert remaining_highlight(albedo, KNOWN, away(MIRROR))[away(MIRROR) < 44.0].all()
 
 
 def test_shading_across_the_picture_does_not_hide_a_halo():
@@ -271,8 +270,7 @@ def test_contrast_that_the_own_maps_do_not_render_keeps_nothing(shot: Photograph
 def test_a_unique_pattern_is_inpainted_too(shot: Photographed) -> None:
     """No two places of bumps are alike; glare over them must not stay a pale disc for that."""
     bumpy = photographed(0.1, 0.3)
-    exemplar = _hidden(bumpy)
-    hole = np.log(_lent(bumpy, exemplar).diffuse)[:, 120:200, 210:300]
+    hole = np.log(_lent(bumpy, _hidden(bumpy)).diffuse)[:, 120:200, 210:300]
     truth = bumpy.maps.diffuse.log().numpy()
     assert hole.std((1, 2)).mean() == pytest.approx(truth.std((1, 2)).mean(), rel=0.3)
 
@@ -312,8 +310,7 @@ def test_marks_are_not_copied_but_those_of_most_blocks_are(shot: Photographed) -
         spotted[:, row : row + 5, column : column + 5] = 0.005
     for albedo, copied in ((dusty, False), (spotted, True)):
         albedo[:, *HOLE] = 0.8
-        exemplar = replace(marked, diffuse=albedo)
-        whole = _lent(shot, exemplar, HOLE)
+        whole = _lent(shot, replace(marked, diffuse=albedo), HOLE)
         assert bool((whole.diffuse[:, *HOLE] < 0.02).any()) == copied
 
 
@@ -357,8 +354,7 @@ def test_cloth_is_not_copied_to_where_it_is_combed_otherwise(shot: Photographed)
     combed = _drawn(shot, log)
     _, copies = _transported(combed, _hidden(combed), HOLE)
     assert copies is not None
-    columns = np.indices(copies.copied.shape)[1]
-    away = np.abs(copies.source[1] - columns)[copies.copied]
+    away = np.abs(copies.source[1] - np.indices(copies.copied.shape)[1])[copies.copied]
     assert np.quantile(away, 0.9) < 60
 
 
@@ -447,8 +443,7 @@ def test_a_copy_from_one_period_away_is_exact():
 
 
 def test_a_drift_between_source_and_target_leaves_no_step():
-    rng = np.random.default_rng(1)
-    drawn = rng.normal(0.0, 0.1, (1, SIZE, SIZE))
+    drawn = np.random.default_rng(1).normal(0.0, 0.1, (1, SIZE, SIZE))
     maps = (drawn + np.linspace(0.0, 3.0, SIZE)[None, None]).astype(np.float32)
     source = copied_from(0, 20)
     plain = maps[:, source[0], source[1]]
@@ -470,8 +465,7 @@ def test_far_from_a_seam_texels_are_those_of_the_source():
     maps[:, :, :8] = 1.0
     source = copied_from(0, 0)
     source[1][FREE] = 2
-    middle = composed(maps, source, FREE, 1.5)[0, 32, 32]
-    assert middle == pytest.approx(1.0, abs=0.02)
+    assert composed(maps, source, FREE, 1.5)[0, 32, 32] == pytest.approx(1.0, abs=0.02)
 
 
 def test_without_free_texels_the_input_is_returned():

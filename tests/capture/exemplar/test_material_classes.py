@@ -53,8 +53,7 @@ def photograph(metal: torch.Tensor, brightness: float = 1.0):
         specular=light.residuals(replace(grey, specular=0.1 * one)).specular,
         roughness=light.residuals(replace(grey, roughness=0.45 * one)).roughness,
     )
-    shown = target(shot, linear, light.maps(read).normal, light.uniform)
-    return shown, truth, read
+    return target(shot, linear, light.maps(read).normal, light.uniform), truth, read
 
 
 def target(shot, linear, normal, surface, setup=SETUP, limit: float = 1.0) -> RingTarget:
@@ -74,8 +73,7 @@ def target(shot, linear, normal, surface, setup=SETUP, limit: float = 1.0) -> Ri
 
 def doubtful(metal: torch.Tensor, noise: float = 0.5) -> torch.Tensor:
     """A logit that is right about borders, wrong about one texel in six at 0.5, and drifts."""
-    draw = torch.Generator().manual_seed(2)
-    grain = noise * torch.randn(metal.shape, generator=draw)
+    grain = noise * torch.randn(metal.shape, generator=torch.Generator().manual_seed(2))
     return metal - 0.5 + grain + torch.linspace(3.0, 0.0, WIDTH)
 
 
@@ -93,12 +91,10 @@ def test_each_class_has_its_own_parameters_though_they_were_predicted_alike(
 ) -> None:
     metal = patches(part)
     shown, _, read = photograph(metal, brightness)
-    clipped = float((~shown.measured).float().mean())
-    assert (clipped > 0.02) == (brightness == 1.0)
+    assert (float((~shown.measured).float().mean()) > 0.02) == (brightness == 1.0)
     mixture = find_mixture(read, doubtful(metal, noise), shown)
     assert mixture is not None
-    right = ((mixture.metal_share > 0.5) == (metal > 0.5)).float().mean()
-    assert float(right) > 0.9
+    assert float(((mixture.metal_share > 0.5) == (metal > 0.5)).float().mean()) > 0.9
     f0, albedo = reached(mixture, shown)
     assert float(f0[0]) == pytest.approx(brightness * 0.9 * float(GOLD.mean()), rel=0.3)
     assert float(f0[0] / f0[1]) > 6.0  # 16 in truth, 1 as read
@@ -110,8 +106,7 @@ def test_each_class_has_its_own_parameters_though_they_were_predicted_alike(
 def test_one_class_is_not_taken_for_two(share: float) -> None:
     metal = patches()
     shown, _, read = photograph(share * torch.ones_like(metal))
-    mixture = find_mixture(read, doubtful(metal), shown)
-    assert mixture is None
+    assert find_mixture(read, doubtful(metal), shown) is None
 
 
 EVEN_GLOSS = torch.ones(HEIGHT, WIDTH)
@@ -166,16 +161,14 @@ def test_metal_is_separated_from_a_drift() -> None:
     _, truth, _ = photograph(metal)
     score = metal_score(truth, doubtful(metal))
     assert float(score.std()) == pytest.approx(1.0, abs=0.01)
-    right = ((score > 0.0) == (metal > 0.5)).float().mean()
-    assert float(right) > 0.95
+    assert float(((score > 0.0) == (metal > 0.5)).float().mean()) > 0.95
 
 
 def test_a_prediction_without_texture_is_one_class() -> None:
     shown, truth, read = photograph(torch.zeros(1, HEIGHT, WIDTH))
     flat = 0.0 * doubtful(patches())
     assert torch.isfinite(metal_score(truth, flat)).all()
-    mixture = find_mixture(read, flat, shown)
-    assert mixture is None
+    assert find_mixture(read, flat, shown) is None
 
 
 # Levels of gloss from the profile of the highlight.

@@ -124,8 +124,7 @@ def test_clipped_texels_are_lower_bounds() -> None:
     shot, light, valid, truth = _setting()
     clip = float(shot.linear.quantile(0.3))
     clipped = shot.linear.clamp_max(clip)
-    unclipped = (shot.linear < clip).all(0)
-    refined = refine_albedo(truth, ERRORS, clipped, unclipped, light)
+    refined = refine_albedo(truth, ERRORS, clipped, (shot.linear < clip).all(0), light)
     assert _largest(refined - truth) < 1e-3
 
 
@@ -138,8 +137,7 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 
     def off(seen: torch.Tensor) -> float:
         refined = refine_albedo(_without_albedo_detail(truth), ERRORS, clipped, seen, light)
-        result = measured[1:].all(0) & ~measured[0]
-        apart = (refined - truth).diffuse[1:, result]
+        apart = (refined - truth).diffuse[1:, measured[1:].all(0) & ~measured[0]]
         return float((apart - apart.mean(1, keepdim=True)).abs().mean())
 
     assert off(measured) < 0.5 * off(measured.all(0))

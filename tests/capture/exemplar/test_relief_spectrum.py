@@ -53,8 +53,7 @@ def _measured(slope: float, contrast: float, **kwargs: int):
 @pytest.mark.parametrize("slope", [0.1, 0.3])
 def test_slope_energies_are_measured_right(slope: float) -> None:
     found, true = _measured(slope, 0.03)
-    whole = np.sqrt(np.square(true).sum())
-    assert found.relief == pytest.approx(whole, rel=0.2)
+    assert found.relief == pytest.approx(np.sqrt(np.square(true).sum()), rel=0.2)
     # And in the band that holds most of them.
     band = int(np.square(true).sum(1).argmax())
     here = np.sqrt(np.square(found.slope[band]).sum() / np.square(true[band]).sum())
@@ -323,8 +322,7 @@ def test_a_bulls_eye_is_equalised() -> None:
     """Relief that fades in the middle, and there shows one slope only, comes out as elsewhere."""
     height = _bumps()
     y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
-    fading = np.clip(np.hypot(x, y), 0.25, 1.0)
-    faint = (height * fading).astype(np.float32)
+    faint = (height * np.clip(np.hypot(x, y), 0.25, 1.0)).astype(np.float32)
     middle, rim = (slice(200, 312), slice(320, 448)), (slice(0, 112), slice(0, 128))
     even = equalise(faint, None)
     before = _strength(faint, middle)[0] / _strength(faint, rim)[0]
@@ -411,8 +409,7 @@ def test_a_bowl_is_no_relief() -> None:
     height = _bumps()
     y, x = np.mgrid[-1 : 1 : height.shape[0] * 1j, -1.5 : 1.5 : height.shape[1] * 1j]
     bowl = (60.0 * (x**2 + y**2)).astype(np.float32)
-    left = equalise(height + bowl, None) - _even()
-    assert left.std() < 0.05 * bowl.std()
+    assert (equalise(height + bowl, None) - _even()).std() < 0.05 * bowl.std()
 
 
 # Depth that networks draw where it is dark.
@@ -436,8 +433,7 @@ def test_dark_places_of_a_cloth_are_no_pits() -> None:
         observed, predicted = predict_maps(
             Observation.of(whole_plane(linear), coarse), load_inverse()
         )
-        spectrum = measured_spectrum(observed)
-        even = scaled_to_spectrum(observed, predicted, spectrum)
+        even = scaled_to_spectrum(observed, predicted, measured_spectrum(observed))
     before, after = (
         np.sqrt(slope_energies(each.residuals.height[0].numpy())) for each in (predicted, even)
     )
@@ -453,8 +449,7 @@ def test_long_waves_keep_what_is_measured_or_their_own(measured, own, least, mos
     """Depth in proportion to wavelength, in place of a depth in proportion to log albedo."""
     tone = np.stack(split(np.random.default_rng(1).standard_normal((256, 256)).astype("f")))[:-1]
     more = np.stack(split(np.random.default_rng(2).standard_normal((256, 256)).astype("f")))[:-1]
-    length = np.sqrt(np.prod(BANDS, axis=1))
-    height = length[:, None, None] * (tone + own * more)
+    height = np.sqrt(np.prod(BANDS, axis=1))[:, None, None] * (tone + own * more)
     slope = np.zeros((len(BANDS), DIRECTIONS))
     slope[3] = np.sqrt(measured / np.sqrt(DIRECTIONS))
     spectrum = ReliefSpectrum(slope, slope, np.full_like(slope, 1.0))

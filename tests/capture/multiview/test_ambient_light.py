@@ -95,8 +95,7 @@ def test_a_photograph_without_flash_is_registered_on_albedo(lit):
 
 
 def test_without_a_dark_photograph_registration_is_unchanged(lit):
-    registration = _registration(lit)
-    flashes = registration.views[:-1]
+    flashes = _registration(lit).views[:-1]
     assert on_albedo(flashes, grainy(0)) is flashes
 
 

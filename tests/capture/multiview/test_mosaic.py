@@ -96,8 +96,7 @@ def test_texels_between_photographs_are_unknown():
 
 
 def test_a_tilted_camera_extends_the_mosaic_as_far_as_it_sees_well():
-    lean = math.radians(50.0)
-    camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=(0.0, lean)))
+    camera = PosedCamera.of(FlashSetup(fov=PHONE.fov, tilt=(0.0, math.radians(50.0))))
     mosaic = mosaic_of([_view(_camera()), _view(camera)], SIZE)
     points = grid_points(*mosaic.margins.around(SIZE), mosaic.extent)
     away = camera.place[:, None, None] - points
@@ -121,8 +120,7 @@ def test_a_mosaic_is_limited_by_memory_with_a_note(monkeypatch):
 
 
 def _drawn(size, seed=0):
-    generator = torch.Generator().manual_seed(seed)
-    rows = torch.randn(6, *size[::-1], generator=generator)
+    rows = torch.randn(6, *size[::-1], generator=torch.Generator().manual_seed(seed))
     maps = [0.3 * (0.1 * rows[:3]).exp(), 0.04 * (0.1 * rows[3:4]).exp(), 0.5 + 0.02 * rows[4:5]]
     return MapSet(*maps, 0.002 * rows[5:], 2.0 / size[0])
 

@@ -75,8 +75,7 @@ def test_more_photographs_tell_more():
     off = []
     for count in (2, 3, 5):
         views, light = seen([maps] * count, 0.01)
-        found = _solved(views, flattened(maps), light)
-        off.append(_degrees(found.maps, maps))
+        off.append(_degrees(_solved(views, flattened(maps), light).maps, maps))
     assert off[0] > 1.2 * off[1] and off[1] > 1.2 * off[2]
 
 
@@ -191,8 +190,7 @@ def test_a_photograph_beside_its_place_is_brought_back_though_texels_explain_it(
     prior = ParameterPrior.of(Estimate(flat, NOTHING_KNOWN))
     numbers = parameters_of(found.maps)
     _, moves = shared_step(shifted, numbers, prior, found.light, moved=range(1, 5))
-    texel = maps.texel_size
-    assert moves[3][0, 2] > 0.6 * texel
+    assert moves[3][0, 2] > 0.6 * maps.texel_size
     for number in (1, 2, 4):
         assert abs(moves[number][0, 2]) < 0.7 * moves[3][0, 2]
     assert (moves[0] == np.eye(3)).all()
@@ -227,8 +225,7 @@ def test_photographs_of_one_piece_are_one_material(held, foreign, tmp_path):
 
     write_outputs(result, tmp_path / "plaster", OutputSettings((32, 32)))
     check_report(tmp_path / "plaster/report.json")
-    report = json.loads((tmp_path / "plaster/report.json").read_text())
-    several = report["multi_view"]
+    several = json.loads((tmp_path / "plaster/report.json").read_text())["multi_view"]
     assert [one["name"] for one in several["photographs"]] == [photo.name for photo in photos]
     assert [one["name"] for one in several["left_out"]] == ["leather_9"]
     for one in several["photographs"]:

@@ -220,8 +220,7 @@ def slopes():
 
 
 def _precision(across, along):
-    each = [across, along, 0.0]
-    return torch.tensor(each)[:, None, None].expand(3, *SURFACE_SIZE)
+    return torch.tensor([across, along, 0.0])[:, None, None].expand(3, *SURFACE_SIZE)
 
 
 def _off(height, slopes):

@@ -135,8 +135,7 @@ def test_a_weave_with_flaws_is_registered(thread, clouds, flaws):
 
 def test_a_flawless_weave_is_refused_in_one_sentence():
     _, photos = _photographs(_weave(0.04, 0.0, 0.0))
-    found = register(photos, FlashSetup(fov=PHONE.fov))
-    (refused,) = found.left_out
+    (refused,) = register(photos, FlashSetup(fov=PHONE.fov)).left_out
     assert "pattern repeats" in refused.why and "border" in refused.why
 
 

@@ -236,8 +236,7 @@ def _object():
     ],
 )
 def test_what_is_no_material_is_named_by_inspect_and_capture_alike(picture, says):
-    inspected = inspect_photo(photo_from_array(picture()))
-    subject = inspected["subject"]
+    subject = inspect_photo(photo_from_array(picture()))["subject"]
     assert subject.rating is Rating.FAILED and says in subject.says
     # White paper of a screenshot is clipped, too.
     clipped = CHECKS["clipped"].finding(0.9)
@@ -374,8 +373,7 @@ BAD = [
 
 @pytest.mark.parametrize(("change", "check", "word"), BAD)
 def test_one_fault_is_enough_and_is_told_with_remedy(change, check, word):
-    seen = replace(FINE, **change)
-    verdict = judge(seen)
+    verdict = judge(replace(FINE, **change))
     assert verdict.rating.value == word and not verdict.fit
     worst = verdict.worst
     assert worst.name == check and worst.remedy
@@ -414,8 +412,7 @@ def test_sentences_fit_four_lines_of_a_terminal():
     """Of every check, at its worst, with the longest reason and remedy."""
     repeats = {"order": (0.5, 0.5), "causes": {"large features": 0.1}}
     for (change, _, _), causes in product(BAD, ({}, repeats)):
-        seen = replace(FINE, **{**causes, **change})
-        sentence = judge(seen).sentence()
+        sentence = judge(replace(FINE, **{**causes, **change})).sentence()
         assert len(textwrap.wrap(f"  {sentence}", 80)) <= 4, sentence
 
 
@@ -544,8 +541,7 @@ BAD_SHOTS = {
 @pytest.mark.parametrize("bad", BAD_SHOTS)
 def test_bad_photographs_are_not_called_good_or_usable(bad):
     """However well they are captured."""
-    quality = photograph_quality(BAD_SHOTS[bad]())
-    assert not judge(replace(FINE, photograph=quality)).fit
+    assert not judge(replace(FINE, photograph=photograph_quality(BAD_SHOTS[bad]()))).fit
 
 
 @pytest.mark.parametrize(("factor", "fit"), [(0.49, False), (0.6, True), (1.7, True), (2.1, False)])
@@ -642,8 +638,7 @@ def test_a_highlight_just_plain_beside_one_just_not_is_the_same_highlight():
 
 def test_where_nothing_is_glossy_no_highlight_is_judged():
     matte = replace(FINE, profile=profile(1.1, 0.9, glints=()), highlights=(None, None))
-    found = named(matte)
-    assert found["highlight_contrast"].rating is Rating.NOT_JUDGED
+    assert named(matte)["highlight_contrast"].rating is Rating.NOT_JUDGED
 
 
 def test_beyond_a_clipped_core_the_first_ring_that_is_not_counts():

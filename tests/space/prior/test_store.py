@@ -201,8 +201,7 @@ def test_a_spread_out_of_range_is_refused(known, spread):
 
 
 def test_a_photograph_is_encoded_to_a_place(known):
-    photo = small_photo(0)
-    place = known.place(photo)
+    place = known.place(small_photo(0))
     assert place.code.shape == (CODE_SIZE,) and place.rest.shape == (VARYING,)
     assert bool(torch.isfinite(known.draw(0, near=place).maps(48, 32).stacked()).all())
 

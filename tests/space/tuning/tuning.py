@@ -31,8 +31,7 @@ def photograph():
 def scene():
     """That photograph, cut into windows."""
     linear = photograph()
-    valid = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
-    plane = plane_of(linear, valid)
+    plane = plane_of(linear, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
     windows = cut_windows(plane, bank, WINDOW)
     return PhotographTarget(windows, SETUP, plane.encoding, bank, (), plane.texel_size)
@@ -40,8 +39,7 @@ def scene():
 
 def start(seed=0):
     """An untrained decoder around the coarse fit."""
-    linear = photograph()
-    contrast = log_contrast(linear, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
+    contrast = log_contrast(photograph(), torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
     return untrained(CONFIG, COARSE, contrast, seed)
 
 

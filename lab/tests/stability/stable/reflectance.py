@@ -127,8 +127,7 @@ def _anywhere(n: int, g: torch.Generator) -> Draws:
 
 def _turn(base: Draws, g: torch.Generator) -> Draws:
     """The same in frames turned at random."""
-    n = base.roughness.shape[-1]
-    axis = torch.randn(3, 1, n, generator=g, dtype=torch.float64)
+    axis = torch.randn(3, 1, base.roughness.shape[-1], generator=g, dtype=torch.float64)
     z = normalize(axis)
     x = normalize(torch.linalg.cross(z, axis.roll(1, 0) + 0.5, dim=0))
     frame = torch.stack([x, torch.linalg.cross(z, x, dim=0), z], dim=1)  # (3, 3, 1, N)

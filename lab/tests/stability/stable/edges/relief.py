@@ -26,8 +26,7 @@ def filtering(g: np.random.Generator) -> Swept:
     steep = float(log_uniform(g, 1e-4, 1e2))
     texture = _textured(g, width, height, slope=steep)
     sampler = Sampler(texture, 1.0)
-    level = int(g.integers(0, int(math.log2(min(width, height))) + 1))
-    side = 1 << level
+    side = 1 << int(g.integers(0, int(math.log2(min(width, height))) + 1))
     rows, columns = np.mgrid[0 : height // side, 0 : width // side]
     column, row = (columns + 0.5) * side - 0.5, (rows + 0.5) * side - 0.5
     u = (column - (width - 1) / 2.0) * texture.texel_size

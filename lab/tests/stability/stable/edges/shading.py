@@ -309,5 +309,4 @@ def _sphere_normals(film: Film) -> tuple[Values, NDArray[np.bool_]]:
     y = (film.height / 2 - np.arange(film.height) - 0.5) * scale / 0.5
     x, y = np.broadcast_arrays(x[None, :], y[:, None])
     squared = 1.0 - x * x - y * y
-    z = np.sqrt(np.maximum(squared, 0.0))
-    return np.stack([x, y, z], axis=-1), squared > 1e-3
+    return np.stack([x, y, np.sqrt(np.maximum(squared, 0.0))], axis=-1), squared > 1e-3
