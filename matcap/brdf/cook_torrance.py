@@ -83,8 +83,7 @@ def smith_visibility(n_dot_l: Tensor, n_dot_v: Tensor, alpha: Tensor) -> Tensor:
 def schlick(specular: Tensor, l_dot_h: Tensor) -> Tensor:
     """Fresnel reflectance from F0 = specular to 1 at grazing [schlick1994, eq. 15]."""
     one_minus = (1.0 - l_dot_h).clamp(0.0, 1.0)
-    squared = one_minus.square()
-    return specular + (1.0 - specular) * squared.square() * one_minus
+    return specular + (1.0 - specular) * one_minus.square().square() * one_minus
 
 
 @dataclass(frozen=True)

@@ -283,8 +283,7 @@ def _common(views: Sequence[RegisteredView]) -> Finding:
     up = [view.photo.pixels.shape[0] / view.photo.pixels.shape[1] for view in views]
     points = grid_points(_GRID, round(_GRID * up[0]))
     each = (view.camera.shows(points, high, 90.0) for view, high in zip(views, up, strict=True))
-    seen = np.stack(list(each)).sum(0)
-    alone = float((seen < 2).mean())
+    alone = float((np.stack(list(each)).sum(0) < 2).mean())
     check = CHECKS["overlap"]
     rating = Rating.GOOD if alone <= check.limits[0] else Rating.DOUBTFUL
     return check.rated(round(alone, 3), rating, shared=100.0 * (1.0 - alone))

@@ -227,8 +227,7 @@ def _padded(features: FeatureMap, reach: int) -> FeatureMap:
 
 def _tap_weights() -> NDArray[np.float64]:
     side = np.arange(-_RADIUS, _RADIUS + 1)
-    squares = side[:, None] ** 2 + side[None, :] ** 2
-    return np.exp(-squares / _FALL_OFF).ravel()
+    return np.exp(-(side[:, None] ** 2 + side[None, :] ** 2) / _FALL_OFF).ravel()
 
 
 # k-coherence candidates [tong2002]: for every place of an exemplar the most similar other place.

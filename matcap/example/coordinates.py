@@ -248,8 +248,7 @@ def _border_mismatch(
     long, short = (height, width) if along_x else (width, height)
     step = max(level.spacing, long // _ALONG)
     along = np.arange(-(long // 2), long - long // 2, step)
-    zero = np.zeros_like(along)
-    edge = zero + sum(other.step) * (short // 2)
+    edge = np.zeros_like(along) + sum(other.step) * (short // 2)
     dx, dy = (edge, along) if along_x else (along, edge)
     back_x, back_y = (-edge, along) if along_x else (along, -edge)
 

@@ -417,8 +417,7 @@ def _joined(local: NDArray[np.complexfloating], lag: int) -> NDArray[np.complexf
         np.abs((local[:, :, lag:] * local[:, :, :-lag].conj()).mean(axis=(1, 2))),
     )
     steady = np.minimum(0.5 * (on[0] + on[1]) / power, _STEADIEST)
-    reference = local[np.argmax(steady)]
-    relation = (local * reference.conj()).mean(axis=(1, 2))
+    relation = (local * local[np.argmax(steady)].conj()).mean(axis=(1, 2))
     weights = relation.conj() / (power * (1.0 - steady))
     return (local * weights[:, None, None]).sum(axis=0)
 

@@ -49,8 +49,7 @@ def hash_places(seed: int, level: int, x: Integers, y: Integers) -> Hashes:
     for_column, for_row = scramble(np.array(counter, np.uint64) + start)
     golden = np.uint64(_GOLDEN)
     column = scramble(x.astype(np.uint64) * golden + for_column)
-    row = scramble(y.astype(np.uint64) * golden + for_row)
-    return scramble(column ^ row)
+    return scramble(column ^ scramble(y.astype(np.uint64) * golden + for_row))
 
 
 def draw(hashes: Hashes, index: int, count: int) -> Integers:

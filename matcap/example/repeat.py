@@ -255,8 +255,7 @@ def repeated(
             f"capture it with at least {_LEAST} texels per side, or give --tile alone",
         )
     level = flatten(maps)
-    seen = _seen(level, texel_size)
-    across, down, cost = _shifts(seen, ())
+    across, down, cost = _shifts(_seen(level, texel_size), ())
     if lattice is not None:
         straight = unbent(level, lattice, bits)
         waves = tuple((fx / 2**bits, fy / 2**bits) for fx, fy in lattice.waves)
@@ -304,8 +303,7 @@ def _places(seen: Planes, along: int, below: int) -> tuple[TileTexels, TileTexel
     first, second = copies(_turned(seen), below)
     upper, _ = least_cut(_rms_difference(first, second), LENGTH, closed=False)
     down = rows[:, None] + below * (rows[:, None] < upper[None, :])
-    shown = seen[:, down, columns[None, :]]
-    first, second = copies(shown, along)
+    first, second = copies(seen[:, down, columns[None, :]], along)
     left, _ = least_cut(_rms_difference(first, second), LENGTH, closed=True)
     across = columns[None, :along] + along * (columns[None, :along] < left[:, None])
     return across, down[rows[:, None], across]

@@ -248,8 +248,7 @@ def _ordered(
     seen = set()
     for along in range(low, high + 1):
         straight = np.array([along, 0.0])
-        wanted = np.rint(turns @ straight)
-        shift = straight + back @ (wanted - turns @ straight)
+        shift = straight + back @ (np.rint(turns @ straight) - turns @ straight)
         if np.abs(shift - straight).max() > STRETCH * along:
             continue
         name = (round(shift[0]), round(shift[1]))

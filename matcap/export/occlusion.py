@@ -77,8 +77,7 @@ def occlusion(height: Picture, *, periodic: bool) -> Occlusion:
         return _occlusion(height, periodic=periodic)
     size = height.shape[1], height.shape[0]
     half = cv2.resize(height, (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA)
-    made = _occlusion(0.5 * half, periodic=periodic)
-    return replace(made, size=size)
+    return replace(_occlusion(0.5 * half, periodic=periodic), size=size)
 
 
 def halved(width: int, height: int) -> bool:
@@ -180,8 +179,7 @@ def _share(tangent: Tensor, side: Tensor, nz: Tensor) -> Tensor:
     With w = (cos e, sin e) in the vertical plane of the azimuth and n.w = side cos e + nz sin e,
     the integral of (n.w) cos(e) de from e = atan(tangent) to pi/2, 0 where negative.
     """
-    squared = tangent.square()
-    below = 1.0 / (1.0 + squared)
+    below = 1.0 / (1.0 + tangent.square())
     left = side * (math.pi / 2.0 - torch.atan(tangent) - tangent * below)
     share: Tensor = 0.5 * (left + nz * below)
     return share.clamp_min(0.0)

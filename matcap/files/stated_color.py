@@ -200,8 +200,7 @@ def _managed(profile: bytes, dtype: np.dtype[np.generic]) -> Linearise | None:
     def linearise(rows: NDArray[np.generic]) -> NDArray[np.float32]:
         codes = (rows if mode != "L" else rows[..., 0]).astype(np.float32) * scale
         strip = Image.fromarray(np.ascontiguousarray(np.rint(codes.clip(0, 255)), np.uint8))
-        converted = ImageCms.applyTransform(strip, transform)
-        return decode(np.asarray(converted))
+        return decode(np.asarray(ImageCms.applyTransform(strip, transform)))
 
     return linearise
 

@@ -120,8 +120,7 @@ def plane_points(
 
 def project(points: Tensor, setup: FlashSetup) -> Tensor:
     """(2, ...) image coordinates (u right, v up; long side in [-1, 1]) of (3, ...) plane points."""
-    turn = setup_rotation(setup, points.dtype)
-    in_camera = torch.tensordot(turn, points, dims=1)
+    in_camera = torch.tensordot(setup_rotation(setup, points.dtype), points, dims=1)
     distance = setup.distance
     return in_camera[:2] * (distance / (distance - in_camera[2]))
 

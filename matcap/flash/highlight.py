@@ -168,8 +168,7 @@ def _coordinates(light: Luminance) -> tuple[Luminance, Luminance]:
 
 def _brightest(light: Luminance) -> Highlight | None:
     """The brightest spot, or None if its contrast is too small."""
-    width = light.shape[1]
-    cell = 2.0 / width
+    cell = 2.0 / light.shape[1]
     u, v = (c.ravel() for c in _coordinates(light))
     smooth = _blur(light, 2.0 * _RING / cell)
     row, column = np.unravel_index(int(smooth.argmax()), smooth.shape)

@@ -99,8 +99,7 @@ def read_developed(
         opacity = pixels.channel("A") if "A" in pixels.roles else None
         coded = replace(light(path, colours, white, pixels.notes + notes), opacity=opacity)
     picture = decode(coded, long_side, tone)
-    photo = replace(picture.photo, original_size=size)
-    return replace(picture, photo=photo), exif
+    return replace(picture, photo=replace(picture.photo, original_size=size)), exif
 
 
 def _exif(path: Path, kind: FileKind, pixels: Pixels) -> Exif:

@@ -156,8 +156,7 @@ def _cut(cells: Values) -> int:
     steps = np.abs(lines[:, 2:] - lines[:, :-2])  # across line k + 1
     usual = np.quantile(steps[:, count // 4 : count - count // 4], 0.9, axis=1)
     limit = np.maximum(_LEAST_STEP, _UNLIKE * usual)[:, None]
-    most = int(_MOST * count)
-    over = (steps[:, :most] / limit).max(axis=0)
+    over = (steps[:, : int(_MOST * count)] / limit).max(axis=0)
     for at in np.argsort(-over):
         if over[at] <= 1.0:
             break

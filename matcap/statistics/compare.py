@@ -78,8 +78,7 @@ def fit_encoding(
         noise = None if noise is None else noise[:, ::step, ::step]
     if int(valid.sum()) < _LEAST_TEXELS:
         valid = torch.ones_like(valid)
-    seen = linear[:, valid]
-    median = max(float(seen.mean(0).median()), 1e-6)
+    median = max(float(linear[:, valid].mean(0).median()), 1e-6)
     plain = Encoding(median, torch.eye(3), limit)
     log = plain.log(linear[None])
     texture = (log - shading(log, _SHADING_SCALE // step))[0][:, valid]
@@ -419,8 +418,7 @@ def describe(linear: Tensor, encoding: Encoding, bank: Features) -> Descriptor:
     log = encoding.log(linear)
     colour = torch.einsum("ij,bjhw->bihw", encoding.matrix.to(log), log)
     levels = [_middle(level) for level in pyramid(colour, bank.levels)]
-    features = bank.maps(linear, levels)
-    grams, crosses = moments(features, crossed=bank.crossed)
+    grams, crosses = moments(bank.maps(linear, levels), crossed=bank.crossed)
     average = encoding.log(encoding.clipped(linear).mean(dim=(2, 3), keepdim=True))
     return Descriptor(
         mean=torch.cat([log.mean(dim=(2, 3)), average[..., 0, 0]], dim=1),

@@ -233,8 +233,7 @@ def _peaks(spectrum: Tensor) -> tuple[list[tuple[float, float, float]], float]:
     rows, columns = torch.meshgrid(
         torch.arange(_WINDOW) - middle, torch.arange(_WINDOW) - middle, indexing="ij"
     )
-    radius = (rows.square() + columns.square()).sqrt()
-    texture = radius >= _WINDOW / _LONGEST
+    texture = (rows.square() + columns.square()).sqrt() >= _WINDOW / _LONGEST
     total = float(full[texture].sum())
     sums = F.avg_pool2d(full[None, None], 3, stride=1, padding=1)[0, 0] * 9.0
     half = (columns > 0) | ((columns == 0) & (rows > 0))

@@ -144,8 +144,7 @@ class ExemplarAverages:
         bits = min(level, self._most)
         stride, means = self._means(bits)
         rows = np.minimum(y // stride, means.shape[1] - 1)
-        columns = np.minimum(x // stride, means.shape[2] - 1)
-        averaged = means[:, rows, columns]
+        averaged = means[:, rows, np.minimum(x // stride, means.shape[2] - 1)]
         if level > bits:
             # The mean of n independent squares deviates sqrt(n) times less.
             averaged = self._mean + (averaged - self._mean) * np.float32(2.0 ** (bits - level))

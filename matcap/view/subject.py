@@ -159,8 +159,7 @@ class Maps:
     @property
     def facts(self) -> ViewFacts:
         """Description for the page."""
-        whole = Rectangle(0, 0, *self.maps.size)
-        mean = lod.mean_of(self._pyramid.read(0, whole))
+        mean = lod.mean_of(self._pyramid.read(0, Rectangle(0, 0, *self.maps.size)))
         return ViewFacts(self.name, "", self.maps.texel_size, self.maps.size, 0, mean)
 
     def moments(

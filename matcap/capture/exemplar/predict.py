@@ -207,8 +207,7 @@ def tinted(observed: Observation, metal: Tensor) -> Observation:
 def _mean(picture: Tensor) -> Tensor:
     """Local mean with equal weights, so that channels are averaged over the same texels."""
     flat = picture.reshape(-1, *picture.shape[-3:])
-    pad = _COLOUR_SIDE // 2
-    blurred = F.avg_pool2d(flat, _COLOUR_SIDE, stride=1, padding=pad)
+    blurred = F.avg_pool2d(flat, _COLOUR_SIDE, stride=1, padding=_COLOUR_SIDE // 2)
     return torch.as_tensor(blurred.reshape(picture.shape))
 
 

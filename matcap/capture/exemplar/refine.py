@@ -212,8 +212,7 @@ def _evening(
     """
     squares = planes.square().mean(0).numpy()
     edges = np.quantile(key[used], np.linspace(share, 1.0, _BINS + 1))
-    place = np.searchsorted(edges, key)
-    here, at = squares[used], place[used]
+    here, at = squares[used], np.searchsorted(edges, key)[used]
     # A stain is no contrast of its bin: squares count up to nine times their median.
     medians = [np.median(here[at == n]) if (at == n).any() else 0.0 for n in range(_BINS + 2)]
     here = np.minimum(here, 9.0 * np.array(medians)[at])

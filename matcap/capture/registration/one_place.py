@@ -53,8 +53,7 @@ def alignment(first: Photo, second: Photo) -> Matrix | None:
     small = (area_averaged(each, size)[None] for each in (fixed, moving))
     shift = _shifts(*small)[0][0] * (columns / _WHOLE)
     warp = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
-    tile = min(_TILE, 2 * (columns // _ACROSS))
-    places = _tiles(seen, tile)
+    places = _tiles(seen, min(_TILE, 2 * (columns // _ACROSS)))
     if len(places) < _LEAST_TILES:
         return _turned(first, second)
     for start in (warp, np.eye(3)):

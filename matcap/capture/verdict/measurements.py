@@ -219,8 +219,7 @@ def smooth_difference(
     ratio = np.median(np.log((after + toe) / (before + toe)), axis=(0, 1))
     light, lit = before.mean(axis=2), after.mean(axis=2)
     floor = _toe(light)
-    difference = np.log((lit + floor) / (light + floor))
-    rest = by_place(difference)
+    rest = by_place(np.log((lit + floor) / (light + floor)))
     return (float(ratio[0]), float(ratio[1]), float(ratio[2])), float(rest.std())
 
 

@@ -204,8 +204,7 @@ def signed_albedo(log: Doubles) -> tuple[Doubles, Doubles]:
 
 def mirror_point(parameters: Doubles, distance: float) -> Linear:
     """(2,) image coordinates of the mirror point."""
-    unknowns = Unknowns.of(_varied(parameters))
-    normal, camera, flash = _places(unknowns, distance)
+    normal, camera, flash = _places(Unknowns.of(_varied(parameters)), distance)
     height, flash_height = (normal @ camera)[:, None], (normal * flash).sum(-1, keepdims=True)
     point = (camera - height * normal) * flash_height + (flash - flash_height * normal) * height
     point = point / (height + flash_height)
@@ -338,8 +337,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     weight = np.full(count, 1.0 / (3.0 * count))
     if photo.left_out is not None:
         part = photo.left_out[top:bottom, left:right].astype(np.float32)
-        share = area_averaged(part, size).ravel()
-        kept = share < MOST_LEFT_OUT
+        kept = area_averaged(part, size).ravel() < MOST_LEFT_OUT
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
     log = flat(np.log(small + toe))

@@ -166,8 +166,7 @@ def fit_coarse(
 
 def diffuse_share_of(photo: Photo, highlight: Highlight | None) -> DiffuseShare | None:
     """Colour scatter of a photograph's rings around its highlight, or its middle without one."""
-    columns = photo.pixels.shape[1]
-    every = max(1, round(columns / ACROSS))
+    every = max(1, round(photo.pixels.shape[1] / ACROSS))
     size = tuple(side // every for side in photo.pixels.shape[1::-1])
     seen = ~photo.clipped if photo.left_out is None else ~(photo.clipped | photo.left_out)
     pixels = area_averaged(photo.pixels, size)
@@ -342,8 +341,7 @@ def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -
     intensity = brightness - mean.albedo[:1] + math.log(math.pi) + 2.0
     logits, places = list(_STARTS), [mean]
     if highlight is not None:
-        alpha = min(highlight.width / (_HALF_GGX * distance), 0.6)
-        means = math.sqrt(alpha)
+        means = math.sqrt(min(highlight.width / (_HALF_GGX * distance), 0.6))
         logits = [_STARTS[0]]
         logits += [math.log(share * means / (1.0 - share * means)) for share in _WIDTHS]
         u, v = highlight.centre
