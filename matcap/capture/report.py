@@ -1,5 +1,4 @@
-"""report.json and the other files of a capture: all of them or none, and what may be
-overwritten.
+"""report.json and the other files of a capture: all of them or none, and what may be overwritten.
 
 report.json: input, settings, errors, verdict and versions of a capture. Its keys are
 described in report.schema.json.

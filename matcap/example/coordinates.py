@@ -274,10 +274,9 @@ def _with_neighbours(axis: Axis) -> Integers:
 # Synthesis of exemplar coordinates, coarse to fine [lefebvre2005].
 #
 # A place is the exemplar's texel (x, y) that a texel of the field shows. The coarsest level is laid
-# from patches at random places. Each finer level upsamples the places and corrects them.
-# Random numbers are hashes of seed and position, and a correction reads a fixed
-# neighbourhood, so that a rectangle with a margin on every level has the same bits whoever computes
-# it.
+# from patches at random places. Each finer level upsamples the places and corrects them. Random
+# numbers are hashes of seed and position, and a correction reads a fixed neighbourhood, so that a
+# rectangle with a margin on every level has the same bits whoever computes it.
 #
 # Unlike Lefebvre and Hoppe, no level is jittered: that would break up structure of more than some
 # ten texels, and does not reduce repetition (docs/notes/field.md).

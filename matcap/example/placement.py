@@ -320,8 +320,7 @@ def _local_features(planes: Floats, shape: tuple[int, ...]) -> NDArray[np.float6
     """(6, rows, columns): log contrast and two components of orientation, by light.
 
     With J the local mean of the gradient's outer product, log sqrt(trace J) (as far as relief has a
-    share in it),
-    (J_xx - J_yy) / trace J and 2 J_xy / trace J.
+    share in it), (J_xx - J_yy) / trace J and 2 J_xy / trace J.
     """
     import cv2  # takes a tenth of a second, which synthesis is spared
 

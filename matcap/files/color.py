@@ -118,9 +118,8 @@ def srgb_slope(light: CodeValues) -> CodeValues:
 # Colour spaces of files: transfer functions and matrices from code values to linear Rec.709.
 #
 # A file states its colour space by an ICC profile (stated_color.py), by code points (ITU-T H.273:
-# cICP in
-# PNG, nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each becomes a
-# ColorSpace. The sRGB curve is in color.py, primaries are in color.py.
+# cICP in PNG, nclx in HEIC and AVIF) or by primaries and an exponent (gAMA and cHRM in PNG). Each
+# becomes a ColorSpace. The sRGB curve is in color.py, primaries are in color.py.
 #
 # Display-referred codes (sRGB, PQ, HLG) become display light in units of diffuse white: 203 cd/m2
 # for PQ, and for HLG on a display of 1000 cd/m2 (ITU-R BT.2408, table 1).
@@ -208,8 +207,7 @@ class ColorSpace:
 SRGB = ColorSpace("sRGB", (srgb_decode,) * 3)
 LINEAR = ColorSpace("linear Rec.709", (linear,) * 3)
 
-# (name, primaries and white) by code point (ITU-T H.273, table 2) that cameras and renderers
-# write.
+# (name, primaries and white) by code point (ITU-T H.273, table 2) that cameras and renderers write.
 _PRIMARIES: dict[int, tuple[str, tuple[float, ...]]] = {
     1: ("Rec.709", REC709),
     5: ("BT.470 BG", (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 0.3127, 0.3290)),

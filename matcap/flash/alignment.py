@@ -1,6 +1,4 @@
-"""The alignment branch: tilt of the plane from one photograph, and from convergence of its
-spectra.
-"""
+"""The alignment branch: tilt of the plane from a photograph, or from convergence of its spectra."""
 
 from __future__ import annotations
 

@@ -36,8 +36,7 @@ _HOT_ROUNDS = 4  # iterations of that fit
 _SHARP = 1024  # most pixels across at which sharpness is measured, whatever is read
 _SHARPEST = 0.25  # quantile over tiles of the blur, as smooth parts do not show the focus
 _LEAST_DETAIL = 1e-5  # least squared gradient of log radiance, per pixel, of a tile with detail
-# Usual differences between tiles: log contrast of a fine and of a coarser band, and two log
-# hues.
+# Usual differences between tiles: log contrast of a fine and of a coarser band, and two log hues.
 _USUAL = (0.4, 0.6, 0.15, 0.15)
 _FLASH_TERMS = 5  # functions of the distance from the hot spot
 _TILES = 8  # along the long side

@@ -160,8 +160,7 @@ class Told:
     More of it.
 
     Args:
-        first, second: two that
-            share their words.
+        first, second: two that share their words.
         third: has ``code``: and a colon.
 
     Example:

@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 from matcap.capture.exemplar.octaves import BANDS, COARSER, coarse_smoothed, enlarged, split
 from matcap.files.threads import at_once
 
-# Measurement and use of the spectrum; docs/notes/capture.md. NSD is the normalised style
-# distance.
+# Measurement and use of the spectrum; docs/notes/capture.md. NSD is the normalised style distance.
 
 # Side of windows, texels, which overlap by half. Larger ones resolve longer waves, but fewer fit.
 _WINDOW = 128

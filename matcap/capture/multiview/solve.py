@@ -1,5 +1,4 @@
-"""Joint estimation of all maps from all photographs (photometric multi-view
-[woodham1980]).
+"""Joint estimation of all maps from all photographs (photometric multi-view [woodham1980]).
 
 MAP estimate by Gauss-Newton steps on log radiance at every texel (texels.py). Geman-McClure weights
 limit the influence of shadows, parallax and other outliers; the prior is Gaussian, with the

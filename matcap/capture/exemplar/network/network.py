@@ -1,6 +1,4 @@
-"""The inverse network: a U-Net from a flash photograph to log-parameter residuals, and its
-inputs.
-"""
+"""The inverse network, a U-Net from a flash photograph to log-parameter residuals; its inputs."""
 
 from __future__ import annotations
 
