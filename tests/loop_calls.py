@@ -1,7 +1,5 @@
 """Inner functions of the C loops of relighting, called on arrays."""
 
-from __future__ import annotations
-
 from ctypes import byref, c_int64
 
 import numpy as np

@@ -5,8 +5,6 @@
 prints the largest difference of any map; without a file, of two small random materials.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

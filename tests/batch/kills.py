@@ -6,8 +6,6 @@ every kill each file under a final name must be whole, and the complete output m
 undisturbed one, bit for bit, but for times.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Map sets that other programs edited."""
 
-from __future__ import annotations
-
 import json
 import struct
 import warnings

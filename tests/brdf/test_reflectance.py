@@ -1,7 +1,5 @@
 """The reflectance model, its parameters and coloured F0."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

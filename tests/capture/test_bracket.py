@@ -1,7 +1,5 @@
 """Brackets: found by place and exposure, aligned, and merged into one radiance."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

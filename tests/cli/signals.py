@@ -4,8 +4,6 @@ Commands run as processes of their own, in a folder that begins empty. Whatever 
 traceback, nothing leaked, no torn file; what is there is whole.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -5,8 +5,6 @@ allow (QUICK). A line must answer with 0 and leave what it names with -o. Pages 
 test_guide.py runs some.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

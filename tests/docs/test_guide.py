@@ -1,7 +1,5 @@
 """Documentation pages do what they say."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

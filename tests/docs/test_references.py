@@ -1,7 +1,5 @@
 """References and generated pages are up to date."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

@@ -1,7 +1,5 @@
 """The coarse fit and its highlight."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

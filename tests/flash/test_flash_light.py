@@ -1,7 +1,5 @@
 """The flash's light and least squares."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

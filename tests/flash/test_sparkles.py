@@ -1,7 +1,5 @@
 """Lone sparkles above white become lower bounds; highlights and files that clip at white do not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

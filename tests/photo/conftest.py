@@ -1,7 +1,5 @@
 """Pictures to store in files: textured, coloured, and different at every corner."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Only MatcapError may come out, and no picture with values that are not finite. O
 without a READER all of them. A mutation that fails is kept in the current folder.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 import sys

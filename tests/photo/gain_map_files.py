@@ -1,7 +1,5 @@
 """JPEGs with HDR gain maps, written segment by segment: every number in them is the test's."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """ICC profiles, built tag by tag from the numbers a test knows."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 

@@ -1,7 +1,5 @@
 """Photographs in floating point: EXR, Radiance HDR, float TIFF and float DNG keep their light."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """HDR gain maps: light by the formulas of the standards, and files that state too little."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Inspection of a photograph, and the calibration card."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """Ratios of exposures and the tone curve that two photographs share, from values of both."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

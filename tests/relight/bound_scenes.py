@@ -8,8 +8,6 @@ derivation allows: grazing mirrors, lights near the surface and low over it, une
 as steep as it is deep.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Iterator

@@ -7,8 +7,6 @@ the reference's mean, of flat maps; and the root mean square on an embossed brig
 effects are switched on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A minimal CFA or linear DNG, written tag by tag, and a shot as a DNG or as a JPEG."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ units. They are no more than what a test needs: something bumpy, woven, polished
 tiled.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 

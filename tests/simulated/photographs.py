@@ -5,8 +5,6 @@ plane. `take` photographs it by one FlashSetup; `take_several` by a phone that a
 parallax of the relief. Radiance is shaded on the plane's texels and resampled by the camera's rays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

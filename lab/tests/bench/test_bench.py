@@ -1,7 +1,5 @@
 """`matcap-lab bench`: what commands hand to their experiments and print of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

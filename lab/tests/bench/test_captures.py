@@ -1,7 +1,5 @@
 """`matcap-lab bench fronts` and `report`: what is run, skipped, drawn and said."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Rows of measurements: kept through kills, averaged, and their Pareto front."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Real materials in one file: packed, cut into pieces, photographed, held out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Maps against relit true samples, and what is photographed for that."""
 
-from __future__ import annotations
-
 import statistics
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Style distances that nothing is tuned by, colours by XYZ, and how unlike realisations are."""
 
-from __future__ import annotations
-
 import math
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Simulated sets of hand-held photographs, easy and hard, and errors of their cameras."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ Prints a table of sets, with means by difficulty; a killed run continues from it
 if a camera is off by more than 2 % of its distance, or a photograph of another sample was used.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

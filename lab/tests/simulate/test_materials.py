@@ -1,7 +1,5 @@
 """Simulated materials: what a seed, a size and a kind mean, and values of real surfaces."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

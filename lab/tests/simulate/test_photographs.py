@@ -1,7 +1,5 @@
 """Simulated photographs, their files, and map sets that are photographed."""
 
-from __future__ import annotations
-
 import dataclasses
 import filecmp
 import json

@@ -8,8 +8,6 @@ float64 and closed forms: the groups of stable/domains.py, all of them unless so
 killed run goes on from its CSV. Prints tables; exits with 4 when anything was not finite.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

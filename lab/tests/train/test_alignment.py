@@ -1,7 +1,5 @@
 """The alignment branch's training: mirrored photographs, what files have, and that it learns."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

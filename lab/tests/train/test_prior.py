@@ -1,7 +1,5 @@
 """The corpus: a folder with bad pictures, the pack's file, and the rule of holding out."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Training: it learns, and a killed run goes on as if nothing had happened."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 

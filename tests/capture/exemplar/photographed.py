@@ -1,7 +1,5 @@
 """A simulated flash photograph of isotropic bumps, with everything that is known of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import cv2

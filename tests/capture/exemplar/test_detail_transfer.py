@@ -1,7 +1,5 @@
 """The finest bands come from the photograph, whatever the maps were read on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """The estimate of the exemplar, its network, and its aligned maps."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Inpainting under the highlight."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Material classes, mean parameters, metals and their tint."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

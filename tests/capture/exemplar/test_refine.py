@@ -1,7 +1,5 @@
 """Refinement of maps, glints, and noise by channel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The relief spectrum, and relief scaled to it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

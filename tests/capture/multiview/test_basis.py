@@ -1,7 +1,5 @@
 """Materials that texels of several photographs share: gold beside paint, and one dielectric."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

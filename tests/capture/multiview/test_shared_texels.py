@@ -1,7 +1,5 @@
 """Per-texel and shared parameters, octaves and heights of several photographs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -6,8 +6,6 @@ A MatcapError of one line or a good result comes out, and nothing else; COUNT an
 failing input again, which is kept in the current folder. test_fuzz.py runs a shorter form.
 """
 
-from __future__ import annotations
-
 import random
 import sys
 import tempfile

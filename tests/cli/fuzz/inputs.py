@@ -1,7 +1,5 @@
 """Small good files of every kind that matcap reads but pictures, and ways to spoil them."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import random

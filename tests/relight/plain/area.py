@@ -1,7 +1,5 @@
 """Lights with a size, point by point, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a surface mirrors, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 import loop_calls
 import numpy as np
 

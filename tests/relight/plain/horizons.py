@@ -1,7 +1,5 @@
 """Horizons of all texels by whole maps, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The reflectance of matcap.brdf in NumPy, in whatever precision it is given."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A height field read by NumPy, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from matcap.relight.relief import Relief

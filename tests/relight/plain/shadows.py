@@ -1,7 +1,5 @@
 """Shadow rays of many pixels side by side, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from matcap.relight.camera import Array, Vec

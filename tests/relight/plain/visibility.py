@@ -1,7 +1,5 @@
 """Directions against horizons, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

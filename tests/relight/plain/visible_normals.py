@@ -1,7 +1,5 @@
 """Mirrored directions of many pixels, plainly: what matcap.relight.loops is held to."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ RAW and as developed pictures, upright and not; their exemplars rearranged, as t
 every variety; sets of photographs and parts of them likewise (wholes.py).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """All domains that are swept, in groups, as an experiment of the laboratory's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial

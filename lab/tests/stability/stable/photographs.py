@@ -3,8 +3,6 @@
 Each is made from the flash picture of a simple bumpy material, as an array in linear light.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

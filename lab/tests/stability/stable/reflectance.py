@@ -8,8 +8,6 @@ The reference takes the same float32 numbers in float64, so an error is the form
 What it leaves out: photographs (photographs.py). domains.py lists them all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

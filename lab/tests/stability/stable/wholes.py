@@ -4,8 +4,6 @@ Sets are views of one picture, for what is looked for is NaN and bugs, and not h
 lights that move along are in tests/capture/registration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

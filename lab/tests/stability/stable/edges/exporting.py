@@ -1,7 +1,5 @@
 """Exporters: what textures hold, the metallic workflow, and every target of extreme maps."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Filtered maps, parallax and self-shadows, against means and slow rays in float64."""
 
-from __future__ import annotations
-
 import math
 
 import loop_calls

@@ -1,7 +1,5 @@
 """Whole scenes whose every number may be extreme."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Lobes, albedo tables, compensation, and pictures under lights that have closed forms."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from dataclasses import replace
