@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
 
 # Rec.709 primaries and luminance, and conversion from other primaries (ITU-R BT.709-6).
 #
@@ -101,12 +97,6 @@ def srgb_picture(linear: NDArray[np.float32]) -> NDArray[np.float32]:
     # float32 is within 2e-7, and thirty times as fast as float64.
     clipped = np.clip(linear, 0.0, 1.0).astype(np.float32, copy=False)
     return srgb_encode(clipped)
-
-
-def srgb_encode_tensor(light: Tensor) -> Tensor:
-    """srgb_encode for PyTorch; its gradient is finite everywhere."""
-    power = 1.055 * light.clamp_min(_KNEE_LIGHT).pow(1.0 / 2.4) - 0.055
-    return (12.92 * light).where(light <= _KNEE_LIGHT, power)
 
 
 def srgb_slope(light: CodeValues) -> CodeValues:
