@@ -15,7 +15,7 @@ from matcap.example.candidates import FRAME_MARGIN, MOST_LEVELS, grid_bits, leve
 from matcap.example.example import Example, detail_bits, halvings, known_part
 from matcap.example.exemplar import DIFFUSE, Exemplar, Floats
 from matcap.example.repeat import cut_and_joined
-from matcap.example.straighten import Planes, likest_shift, sheared
+from matcap.example.straighten import Planes, likest_shift, sheared, square_means
 
 _BLOCKS_ACROSS = 64  # of a plaid, across the longer side
 # Least share of log albedo's variance that bands of a plaid have in either direction (three of 126
@@ -43,7 +43,7 @@ def is_plaid(example: Example) -> bool:
     cell = max((2 ** detail_bits(example.exemplar) / math.hypot(*w) for w in waves), default=0.0)
     if min(rows, columns) < 8 or cell > 2 * side:
         return False
-    means = detrended(_averaged(_log(albedo), side))
+    means = detrended(square_means(_log(albedo), side))
     whole = float(np.square(means).mean())
     bands = [float((band[:, 1:] * band[:, :-1]).mean()) for band in (means.mean(1), means.mean(2))]
     return whole > _VISIBLE**2 and min(bands) > _BANDS * whole
@@ -97,7 +97,7 @@ def _drift(log: Floats, along: int, below: int) -> Floats:
     s, in the mean over squares.
     """
     side = 1 << max(0, math.ceil(math.log2(max(log.shape) / _BLOCKS_ACROSS)))
-    means, terms = _averaged(log, side), _averaged(_quadratic(log.shape[1:])[1:], side)
+    means, terms = square_means(log, side), square_means(_quadratic(log.shape[1:])[1:], side)
     known: list[NDArray[np.floating]] = []
     wanted: list[NDArray[np.floating]] = []
     for shift, axis in ((round(along / side), 2), (round(below / side), 1)):
@@ -153,10 +153,3 @@ def _quadratic(shape: tuple[int, ...]) -> NDArray[np.float64]:
 
 def _log(albedo: Floats) -> Floats:
     return np.log(np.maximum(albedo, _DARKEST))
-
-
-def _averaged(planes: NDArray[np.floating], side: int) -> NDArray[np.floating]:
-    """Means over squares of `side` texels."""
-    rows, columns = (n // side for n in planes.shape[1:])
-    cut = planes[:, : rows * side, : columns * side]
-    return cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))

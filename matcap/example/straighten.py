@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +142,7 @@ def best_shift(
         slack: largest difference from that slant, without a lattice.
     """
     scale = _scale(planes)
-    small = _shrunk(planes, scale)
+    small = square_means(planes, scale)
     width = planes.shape[2]
     table = _differences(small, slant, slack, _LEAST)
     straight = list(_ordered(table, scale, width, waves)) if waves else []
@@ -173,7 +174,7 @@ def likest_shift(planes: Planes, least: float) -> Shift:
         least: share of the width that it has at least.
     """
     scale = _scale(planes)
-    table = _differences(_shrunk(planes, scale), 0.0, _MOST_TURN, least)
+    table = _differences(square_means(planes, scale), 0.0, _MOST_TURN, least)
     return _refined(planes, min(_any(table, scale), key=lambda one: one.difference).shift, scale)
 
 
@@ -298,10 +299,11 @@ def _refined(planes: Planes, shift: Shift, scale: int) -> Shift:
     return best[1]
 
 
-def _shrunk(planes: Planes, scale: int) -> Planes:
-    rows, columns = (side // scale for side in planes.shape[1:])
-    parts = planes[:, : rows * scale, : columns * scale]
-    return parts.reshape(len(planes), rows, scale, columns, scale).mean(axis=(2, 4))
+def square_means(planes: NDArray[Any], side: int) -> NDArray[Any]:
+    """(C, H // side, W // side) means of planes over squares of `side` texels."""
+    rows, columns = (n // side for n in planes.shape[1:])
+    cut = planes[:, : rows * side, : columns * side]
+    return cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))
 
 
 # Resampling of maps so that a lattice and a tile's shifts are straight.

@@ -19,6 +19,7 @@ from matcap.example.example import Example, coarsened, detail_bits
 from matcap.example.index import Lookup
 from matcap.example.placement import texture_trend
 from matcap.example.plaid import detrended, is_plaid, repeating_plaid
+from matcap.example.straighten import Planes, square_means
 from matcap.field.plane import Rectangle
 
 # Choice of the variety; docs/notes/field.md.
@@ -36,9 +37,6 @@ _SEAMS = 0.018
 _MORE_SEAMS = 1.1  # largest share of seams over the least of all varieties, if that is more
 _SQUARE = 4  # log2 of the texels of a square of the texture's trend
 _FEWER = 0.9  # largest mean squared step of smaller patches over the largest ones', to be taken
-
-Planes = NDArray[np.float32]
-
 _COMPARED = 7  # planes of features: all but the height, which its slopes describe
 
 
@@ -114,8 +112,8 @@ def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:
     features = features_of(planes_of(coarse), index.scale)
     planes = detrended(grids_of(features, level + 1)[level][:_COMPARED].astype(np.float32))
     lookup, spacing = example.lookup.of_rule_2(), 1 << level
-    bits = grid_bits(level)
-    own = _thinned(planes[:, :: spacing >> bits, :: spacing >> bits], spacing)
+    bits, side = grid_bits(level), max(1, _STEP // spacing)
+    own = square_means(planes[:, :: spacing >> bits, :: spacing >> bits], side)
     true, shifts = _correlation(own)
     far = shifts >= _NEAR
     power = float((true[far] ** 2).mean()) if far.any() else 0.0
@@ -127,7 +125,7 @@ def variety_trials(example: Example) -> tuple[float, Iterator[VarietyTrial]]:
             _varied(lookup, variety),
             level,
             coarse.size,
-            lambda x, y: _thinned(planes[:, y >> bits, x >> bits], spacing),
+            lambda x, y: square_means(planes[:, y >> bits, x >> bits], side),
             true * far,
         )
         return VarietyTrial(variety, power**0.5 * (1.0 - kept), seams)
@@ -173,15 +171,6 @@ def _varied(lookup: Lookup, variety: float) -> Lookup:
     aspect = lookup.sizes.aspect
     sizes = PatchSizes.of(coarsest.frame, coarsest.spacing, lookup.lattice, variety, aspect)
     return lookup.sized(sizes)
-
-
-def _thinned(planes: Planes, spacing: int) -> Planes:
-    """Averages over squares of _STEP texels; `spacing` is that of the planes."""
-    side = max(1, _STEP // spacing)
-    rows, columns = (n // side for n in planes.shape[1:])
-    cut = planes[:, : rows * side, : columns * side]
-    means: Planes = cut.reshape(len(planes), rows, side, columns, side).mean(axis=(2, 4))
-    return means
 
 
 def _correlation(planes: Planes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
