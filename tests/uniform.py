@@ -32,8 +32,7 @@ def photograph(
     albedo = torch.tensor(diffuse, dtype=torch.float64)[:, None, None] + flat
     maps = MapSet(albedo, flat + specular, flat + roughness, flat, texel_size=2.0 / width)
     pixels = render_flash(maps, setup, points).permute(1, 2, 0).numpy()
-    rng = np.random.default_rng(0)
-    pixels = pixels * np.exp(noise * rng.standard_normal(pixels.shape))
+    pixels = pixels * np.exp(noise * np.random.default_rng(0).standard_normal(pixels.shape))
     clipped = (pixels >= 1.0).any(axis=2)
     return Photo(
         pixels=np.minimum(pixels, 1.0).astype(np.float32),

@@ -257,8 +257,7 @@ def test_bursts_of_files_are_told_by_their_exif(tmp_path, capfd):
     found = find_samples(tmp_path, group="time", gap=8.0)
     groups = [[photo.name for photo in sample.photos] for sample in found]
     assert groups == [["b.jpg"], ["c.jpg", "a.jpg", "d.jpg"], ["e.png"], ["f.jpg"]]
-    said = group_sentences(found)
-    assert said[0] == "c: 3 photographs of one sample (c.jpg, a.jpg, d.jpg)."
+    assert group_sentences(found)[0] == "c: 3 photographs of one sample (c.jpg, a.jpg, d.jpg)."
     # What a file does not say is not the user's to read.
     assert capfd.readouterr().err == ""
 

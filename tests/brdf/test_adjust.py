@@ -17,8 +17,7 @@ _GREY = np.array([0.2126, 0.7152, 0.0722])
 
 @pytest.fixture
 def maps():
-    generator = torch.Generator().manual_seed(1)
-    stacked = 0.2 + 0.6 * torch.rand(6, 12, 16, generator=generator)
+    stacked = 0.2 + 0.6 * torch.rand(6, 12, 16, generator=torch.Generator().manual_seed(1))
     stacked[5] *= 0.01
     return MapSet.from_stacked(stacked, 2 / 512, periodic=True)
 

@@ -292,8 +292,7 @@ def test_a_height_scale_is_heeded_and_numbers_nobody_knows_are_none(tmp_path, ma
 
 
 def test_the_estimated_disk_space_suffices(tmp_path, maps):
-    noise = maps.map(lambda m: torch.rand(m.shape[0], 200, 200))
-    write_mapset(noise, tmp_path, INFO, png=True)
+    write_mapset(maps.map(lambda m: torch.rand(m.shape[0], 200, 200)), tmp_path, INFO, png=True)
     taken = sum(f.stat().st_size for f in tmp_path.iterdir())
     assert taken < mapset_bytes(200, 200, png=True) < taken + 2_000_000
 

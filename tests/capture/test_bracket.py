@@ -138,8 +138,7 @@ def test_raw_exposures_stay_linear():
 
 def test_raw_and_jpeg_mix():
     light = scene()
-    photos = [taken(light), taken(moved(light)[0], 1 / 16, raw=True, seed=2)]
-    merged = merge_bracket(photos)
+    merged = merge_bracket([taken(light), taken(moved(light)[0], 1 / 16, raw=True, seed=2)])
     assert not merged.radiometric and np.median(error(merged, light)) < 0.05
 
 

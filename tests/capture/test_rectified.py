@@ -270,8 +270,7 @@ def test_field_preview_and_maps_of_a_portrait_are_upright(captures):
     standing = captures["standing"]
     assert standing.maps.size == (96, 128) == standing.rectified.shape[1::-1]
     assert standing.rerendered.shape == standing.rectified.shape
-    expected = np.rot90(captures["lying"].rectified, -1)
-    np.testing.assert_array_equal(standing.rectified, expected)
+    np.testing.assert_array_equal(standing.rectified, np.rot90(captures["lying"].rectified, -1))
     whole = standing.material.maps(128, 128, seed=3).diffuse.mean(0).numpy()
     # The border has texels that the tilted photograph does not show, which are black.
     seen = standing.rectified.mean(-1)[12:-12, 12:-12]

@@ -167,8 +167,7 @@ def test_inspect_states_what_is_left_out(tmp_path, capsys):
     assert one["exemplar"]["size"] == [176, 144]
     assert other["exemplar"]["periods"] == pytest.approx([23.3, 17.1], rel=0.01)
     assert main(["inspect", *files]) == 0
-    said = capsys.readouterr().out
-    assert f"{100 * one['exemplar']['left_out']:.1f} % stands out" in said
+    assert f"{100 * one['exemplar']['left_out']:.1f} % stands out" in capsys.readouterr().out
     (tmp_path / "marked.matcap").write_bytes(b"nothing")
     assert main(["inspect", *files]) == 4
 

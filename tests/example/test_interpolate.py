@@ -137,5 +137,4 @@ def test_exemplars_without_a_pattern_blend_to_their_means():
     flat = replace(
         blobs(), **{name: mean.repeat(144, 1).repeat(176, 2) for name, mean in means.items()}
     )
-    middle = interpolated(flat, flat, 0.5)
-    assert np.allclose(middle.stacked(), flat.stacked(), atol=1e-4)
+    assert np.allclose(interpolated(flat, flat, 0.5).stacked(), flat.stacked(), atol=1e-4)

@@ -101,8 +101,7 @@ def test_a_lattice_is_cut_to_whole_periods():
 
 
 def test_the_cheapest_cut_is_found_and_closes():
-    random = np.random.default_rng(3)
-    differences = random.uniform(1.0, 2.0, (40, 20)).astype(np.float32)
+    differences = np.random.default_rng(3).uniform(1.0, 2.0, (40, 20)).astype(np.float32)
     way = 10 + np.rint(5.0 * np.sin(np.arange(40) * 2.0 * np.pi / 40.0)).astype(int)
     for row, column in enumerate(way):
         low, high = sorted((column, way[(row + 1) % 40]))

@@ -151,8 +151,7 @@ def test_usd_is_valid(tmp_path, made, read_usd, material, name):
 
 
 def test_the_usd_validators_reject_a_broken_stage(tmp_path, written, read_usd):
-    folder = shutil.copytree(written("usd", "leather")[0], tmp_path / "out")
-    file = folder / "leather.usda"
+    file = shutil.copytree(written("usd", "leather")[0], tmp_path / "out") / "leather.usda"
     file.write_text(file.read_text().replace("color3f inputs:diff", "float inputs:diff"))
     assert read_usd.complaints(file)
 

@@ -176,8 +176,7 @@ def test_a_materials_tile_has_no_seam_and_exports_say_so(tmp_path, name):
     if name == "leather":
         found = open_tile(tmp_path, size=(48, 48))
         for target in (*DOCUMENTS, "raw", "unreal"):
-            job = ExportJob(found.maps, found.name)
-            done = write_export(job, target, tmp_path / target)
+            done = write_export(ExportJob(found.maps, found.name), target, tmp_path / target)
             sidecar = json.loads((tmp_path / target / f"{name}_{target}.json").read_text())
             assert sidecar["periodic"] is True and sidecar["seam"] <= SEAMLESS
             assert not any("seam" in note for note in done.notes)

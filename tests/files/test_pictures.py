@@ -344,8 +344,7 @@ def test_a_thumbnail_s_channels_are_not_the_picture_s(tmp_path):
 
 @pytest.mark.parametrize(("kind", "half"), [("uint32", 2**31), ("int32", 2**30), ("int16", 2**14)])
 def test_integers_of_other_types_are_codes(tmp_path, kind, half):
-    codes = np.full((8, 8, 3), half, kind)
-    tifffile.imwrite(tmp_path / "a.tif", codes, photometric="rgb")
+    tifffile.imwrite(tmp_path / "a.tif", np.full((8, 8, 3), half, kind), photometric="rgb")
     colours, _ = linear_colours(read_pixels(tmp_path / "a.tif"))
     np.testing.assert_allclose(colours, srgb_decode(np.array(0.5)), atol=1e-4)
 

@@ -165,8 +165,7 @@ def test_webp_and_avif_are_read(photo_of, codes, form):
     expected = srgb_decode(codes / 255)[::-1, ::-1]
     np.testing.assert_allclose(photo.pixels, expected, atol=1e-6 if form == "webp" else 0.03)
     assert photo.notes == ()
-    other = photo_of(codes, f"b.{form}", exif=seen.tobytes(), **options)
-    assert other.fov_source == "exif"
+    assert photo_of(codes, f"b.{form}", exif=seen.tobytes(), **options).fov_source == "exif"
 
 
 def test_a_pillow_without_avif_is_named_in_the_error(tmp_path, codes, monkeypatch):

@@ -49,8 +49,7 @@ BLOCK = iso(LOW, HIGH, GAMMA, BASE_OFFSET, OFFSET, more=bytes(60))
 def test_radiance_follows_the_formula_of_iso_21496(tmp_path, codes, gains, said):
     path = write(tmp_path / "a.jpg", jpeg(codes, [hdrgm()]), jpeg(gains, [said]))
     photo = load_photo(path)
-    light = expected(srgb_decode(codes / 255.0), gains[..., None] / 255.0)
-    assert agrees(photo.pixels, light)
+    assert agrees(photo.pixels, expected(srgb_decode(codes / 255.0), gains[..., None] / 255.0))
     assert photo.headroom == pytest.approx((1 + BASE_OFFSET) * 2**HIGH - OFFSET, rel=1e-4)
     assert not photo.clipped.any() and photo.clipped_share == 0.0
     assert "2.2 stops above white" in photo.notes[0]
@@ -119,8 +118,7 @@ def test_a_base_in_display_p3_keeps_its_colours(tmp_path, codes, gains):
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_the_gain_map_is_rotated_with_its_picture(tmp_path, codes, gains, orientation):
     base = jpeg(codes, [hdrgm()], exif=exif(orientation))
-    small = gains[1::2, 1::2]
-    photo = load_photo(write(tmp_path / "a.jpg", base, jpeg(small, [BLOCK])))
+    photo = load_photo(write(tmp_path / "a.jpg", base, jpeg(gains[1::2, 1::2], [BLOCK])))
     light = expected(srgb_decode(codes / 255.0), gains[..., None] / 255.0)
     light = upright(light, orientation)
     if orientation > 4:

@@ -127,8 +127,7 @@ def test_even_black_gloss_is_no_screenshot(stops, says):
 
 
 def test_a_flat_grey_is_not_called_sharp():
-    pixels = np.full((64, 64, 3), 0.2, np.float32)
-    result = inspect_photo(photo_from_array(pixels))["sharpness"]
+    result = inspect_photo(photo_from_array(np.full((64, 64, 3), 0.2, np.float32)))["sharpness"]
     assert result.value is None and result.rating is Rating.NOT_JUDGED
     assert "Sharpness cannot be measured" in result.says
 
@@ -232,8 +231,7 @@ def test_notes_of_reading_are_findings():
 def test_an_assumed_field_of_view_is_a_finding(tmp_path, codes):
     Image.fromarray(codes).save(tmp_path / "a.png")
     assert "66 degrees assumed" in inspect_photo(load_photo(tmp_path / "a.png"))["reading"].says
-    given = inspect_photo(load_photo(tmp_path / "a.png", fov=60.0))
-    assert "reading" not in given.document()
+    assert "reading" not in inspect_photo(load_photo(tmp_path / "a.png", fov=60.0)).document()
 
 
 def test_details_are_printed_on_request(shots, tmp_path, capsys):

@@ -319,8 +319,7 @@ def test_lens_shading_scales_the_noise(tmp_path):
 def test_noise_of_a_portrait_is_rotated_with_it(tmp_path):
     dark_above = np.full((512, 384, 3), 0.3)
     dark_above[:256] = 0.03
-    samples = noisy(dark_above, numbers_of(500.0, 3.0))
-    photo = load_photo(write_dng(tmp_path / "a.dng", samples))
+    photo = load_photo(write_dng(tmp_path / "a.dng", noisy(dark_above, numbers_of(500.0, 3.0))))
     assert photo.turned and photo.noise.shape == photo.pixels.shape
     dark = photo.pixels.mean(axis=2) < 0.1
     assert photo.noise[dark].std() < 0.7 * photo.noise[~dark].std()
@@ -338,8 +337,7 @@ def test_noise_is_not_drawn_unless_wanted_or_where_averaged_out(tmp_path, codes)
 
 
 def test_the_same_file_gives_the_same_draw(tmp_path):
-    shaded = falloff(384, 512)
-    path = write_dng(tmp_path / "a.dng", noisy(shaded, numbers_of(2000.0, 3.0)))
+    path = write_dng(tmp_path / "a.dng", noisy(falloff(384, 512), numbers_of(2000.0, 3.0)))
     first, second = load_photo(path), load_photo(path)
     np.testing.assert_array_equal(first.noise, second.noise)
     np.testing.assert_array_equal(first.pixels, load_photo(path, noise=False).pixels)
@@ -508,8 +506,7 @@ def test_linear_dng_by_plane(tmp_path, grid, option):
 @pytest.mark.parametrize("long_side", [None, 64])
 def test_gain_maps_after_demosaicing_are_applied(tmp_path, long_side):
     y, x = np.mgrid[-1:1:3j, -1:1:3j]
-    grid = (1.0 + 0.3 * x + 0.2 * y)[..., None]
-    opcodes = opcode_list(gain_map(grid, SIZE, planes=3))
+    opcodes = opcode_list(gain_map((1.0 + 0.3 * x + 0.2 * y)[..., None], SIZE, planes=3))
     light = 0.4 / Shading(parse_opcodes(opcodes).gain_maps, SIZE, SIZE).gains(0, 96, 3)
     path = write_dng(tmp_path / "a.dng", mosaic(light), opcodes3=opcodes)
     photo = load_photo(path, long_side=long_side)

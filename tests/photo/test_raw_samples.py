@@ -92,8 +92,7 @@ def test_map_table_opcodes_are_applied(tmp_path, light):
     stored = np.rint(4095 * np.sqrt(light)).astype(np.uint16)
     squares = np.rint(65535 * (np.arange(65536) / 65535) ** 2)
     for opcode in (value_opcode(8, (0.0, 0.0, 1.0), ">f8"), value_opcode(7, squares, ">u2")):
-        opcodes = opcode_list(opcode)
-        path = write_dng(tmp_path / "a.dng", stored, black=0, opcodes2=opcodes)
+        path = write_dng(tmp_path / "a.dng", stored, black=0, opcodes2=opcode_list(opcode))
         photo = load_photo(path, noise=False)
         np.testing.assert_allclose(photo.pixels, light, atol=2e-3)
         assert not any("not applied" in note for note in photo.notes)
@@ -118,8 +117,7 @@ def user_crop(*edges):
 
 @pytest.mark.parametrize("long_side", [None, 64])
 def test_default_crop_is_the_picture_that_focal_lengths_refer_to(tmp_path, light, long_side):
-    more = [*CROP, (41989, 3, 1, 28, True)]
-    path = write_dng(tmp_path / "a.dng", mosaic(light), more=more)
+    path = write_dng(tmp_path / "a.dng", mosaic(light), more=[*CROP, (41989, 3, 1, 28, True)])
     photo = load_photo(path, noise=False, long_side=long_side)
     assert photo.original_size == (96, 64)
     expected = 2 * math.degrees(math.atan(96 / math.hypot(96, 64) * 43.2666 / 2 / 28))

@@ -54,8 +54,7 @@ def embossed() -> Iterator[tuple[float, np.ndarray]]:
     for effect in ("", *(f",+{stage}" for stage in STAGES[1:])):
         effects += effect
         found = relight(embossed_maps(), embossed_scene(), effects=effects)
-        difference = (found - truth)[1:-1, 1:-1]
-        yield float(np.sqrt((difference**2).mean()) / truth.mean()), found
+        yield float(np.sqrt(((found - truth)[1:-1, 1:-1] ** 2).mean()) / truth.mean()), found
 
 
 def main() -> None:

@@ -284,8 +284,7 @@ def test_no_transfer_is_longer_than_its_bound_nor_a_coarse_sum_far_off(relief, w
     most = near.open[:, 1:] * np.array(relief.texture.brightest)
     vectors = whole.bounced.reshape(-1, 3, 3)
     assert (np.linalg.norm(vectors, axis=2) <= most + 1e-6).all()
-    error = np.linalg.norm(coarse.reshape(-1, 3, 3) - vectors, axis=2)
-    share = error / np.maximum(most, 1e-3)
+    share = np.linalg.norm(coarse.reshape(-1, 3, 3) - vectors, axis=2) / np.maximum(most, 1e-3)
     assert np.median(share) <= 0.5 * COARSENESS and share.max() <= 4.0 * COARSENESS
 
 

@@ -229,8 +229,7 @@ def test_a_budget_is_no_more_than_the_tolerance(film):
 def test_the_parts_of_a_light_weigh_what_they_measure():
     light = RectangleLight((0.0, 0.0, 300.0), (0.0, 0.0, -1.0), size=(1.0, 1.0))
     rule = area.rule(light, 12, parts=True)
-    weights = np.bincount(rule.cell, rule.weights)
-    np.testing.assert_allclose(weights, 1.0 / 16.0, rtol=1e-12)
+    np.testing.assert_allclose(np.bincount(rule.cell, rule.weights), 1.0 / 16.0, rtol=1e-12)
 
 
 def difference(maps, scene):

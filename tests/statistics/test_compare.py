@@ -122,8 +122,7 @@ def test_rotation_by_90_degrees_keeps_distribution_and_means():
 def test_the_encoding_gives_texture_unit_variance_and_no_correlation():
     generator = torch.Generator().manual_seed(0)
     grey = torch.randn(1, 96, 96, generator=generator)
-    own = torch.randn(3, 96, 96, generator=generator)
-    linear = 0.2 * torch.exp(0.3 * grey + 0.15 * own)
+    linear = 0.2 * torch.exp(0.3 * grey + 0.15 * torch.randn(3, 96, 96, generator=generator))
     encoded = encoding_of(linear[None])(linear[None])[0].flatten(1)
     assert torch.allclose(torch.cov(encoded), torch.eye(3), atol=0.1)
 
@@ -141,8 +140,7 @@ def test_the_distance_falls_against_its_gradient():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 def test_quantiles_are_those_of_sorted_colours_with_or_without_a_gradient(dtype):
-    generator = torch.Generator().manual_seed(1)
-    level = torch.randn(2, 3, 40, 40, generator=generator).to(dtype)
+    level = torch.randn(2, 3, 40, 40, generator=torch.Generator().manual_seed(1)).to(dtype)
     level[0, 0, 0, :2] = torch.tensor([0.0, -0.0])
     centred = level.flatten(2) - level.flatten(2).mean(dim=2, keepdim=True)
     chunk = centred.shape[2] // QUANTILES

@@ -199,8 +199,7 @@ def digests(words, folder):
     found = {}
     for file in sorted([*folder.glob("*.exr"), *folder.glob("*.json")]):
         if file.suffix == ".json":
-            result = json.loads(file.read_text())
-            content = json.dumps(result | {"matcap": "any"}).encode()
+            content = json.dumps(json.loads(file.read_text()) | {"matcap": "any"}).encode()
         else:
             content = read_exr(file).pixels.tobytes()
         found[file.name] = hashlib.sha256(content).hexdigest()

@@ -190,8 +190,7 @@ def test_smaller_levels_are_averages(material, tmp_path):
 def test_a_request_is_written_as_the_field_reads(material, tmp_path):
     asked = SynthRequest(material, Rectangle(-20, 7, 48, 32), seed=3)
     maps, document = read_mapset(synthesise(asked, tmp_path / "set"))
-    expected = material.maps(48, 32, seed=3, x=-20, y=7)
-    torch.testing.assert_close(maps.height, expected.height)
+    torch.testing.assert_close(maps.height, material.maps(48, 32, seed=3, x=-20, y=7).height)
     assert (document["name"], document["seed"]) == (material.name, 3)
     assert (document["x"], document["y"]) == (-20, 7)
 
@@ -200,8 +199,7 @@ def test_a_request_is_written_as_the_field_reads(material, tmp_path):
     ("tile", "period"), [("both", [64, 32]), ("x", [64, None]), ("y", [None, 32])]
 )
 def test_the_document_of_a_tile_states_its_period(material, tmp_path, tile, period):
-    area = Rectangle(0, 0, 32, 32)
-    asked = SynthRequest(material, area, name="two", udim=(2, 1), tile=tile)
+    asked = SynthRequest(material, Rectangle(0, 0, 32, 32), name="two", udim=(2, 1), tile=tile)
     document = json.loads(synthesise(asked, tmp_path / "set").read_text())
     assert document["name"] == "two" and document["period"] == period
 
@@ -285,8 +283,7 @@ def test_cuda_that_is_not_there_is_refused(material, monkeypatch):
 
 def test_nothing_of_a_block_is_left_on_the_processor(wavy):
     """A device without memory, in place of CUDA, refuses operands that lie elsewhere."""
-    source = wavy.generator.source(1, device=torch.device("meta"))
-    maps = source.maps(Rectangle(0, 0, 64, 32))
+    maps = wavy.generator.source(1, device=torch.device("meta")).maps(Rectangle(0, 0, 64, 32))
     assert (maps.device.type, maps.shape, maps.dtype) == ("meta", (6, 34, 66), torch.float32)
 
 

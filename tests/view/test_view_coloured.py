@@ -80,8 +80,7 @@ def test_a_coloured_page_is_the_grey_one_with_green_and_blue_after_each_level():
 @pytest.mark.parametrize(("channels", "size"), [(1, 28), (3, 32)])
 def test_the_header_says_how_many_channels(channels, size):
     maps = metal("copper", 48, 32)
-    subject = Maps(replace(maps, specular=maps.specular[:channels]), "copper")
-    pages = Pages(subject, workers=1)
+    pages = Pages(Maps(replace(maps, specular=maps.specular[:channels]), "copper"), workers=1)
     client = testclient.TestClient(
         server.make_app(pages, ADDRESS), base_url="http://127.0.0.1:8123"
     )
@@ -209,8 +208,7 @@ def test_an_endless_field_from_its_file_and_enclosed(tab, served, tmp_path):
     path = tmp_path / "page.html"
     path.write_text(sealed_page(subject, 256), encoding="utf-8")
     shown = picture(tab(path.as_uri()), x=0, y=0, span=WIDTH, lamp=HIGH)
-    tiled = around(material, 0, 0, period=(256, 256))
-    wanted, _ = expected(tiled, "plane", WIDTH, lamp=HIGH)
+    wanted, _ = expected(around(material, 0, 0, period=(256, 256)), "plane", WIDTH, lamp=HIGH)
     assert np.abs(shown - wanted).max() <= 2 * STEP
 
 

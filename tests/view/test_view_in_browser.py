@@ -304,8 +304,7 @@ def test_no_mode_logs_an_error(tab, served):
     with served(Materials(material, a_material(seed=4)), result) as address:
         page = tab(address.url)
         page.loaded()
-        size = {"width": 64, "height": 48}
-        page.ask("size => Object.assign(matcap.view.canvas, size)", size)
+        page.ask("size => Object.assign(matcap.view.canvas, size)", {"width": 64, "height": 48})
         faults = page.ask("""() => {
           const { view } = matcap, of = (name) => [...document.getElementsByName(name)].map(
             ({ value }) => value);

@@ -161,8 +161,7 @@ def _steps(settings: SynthSettings) -> dict[str, Callable[[SynthSubject, int], C
         tensors, about = subject.example.stored()
 
         def read() -> None:
-            example = Example.read(about, tensors.__getitem__)
-            example.source(0).maps(Rectangle(0, 0, 16, 16))
+            Example.read(about, tensors.__getitem__).source(0).maps(Rectangle(0, 0, 16, 16))
 
         return _costs(read, settings.repeats)
 
@@ -231,5 +230,4 @@ def _blurred(features: Tensor) -> Tensor:
     channels = features.shape[1]
     line = torch.tensor(_BLUR) / sum(_BLUR)
     kernel = (line[:, None] * line).expand(channels, 1, 3, 3).contiguous()
-    padded = F.pad(features, (1, 1, 1, 1), mode="circular")
-    return F.conv2d(padded, kernel, groups=channels)
+    return F.conv2d(F.pad(features, (1, 1, 1, 1), mode="circular"), kernel, groups=channels)

@@ -193,8 +193,7 @@ def gloss(
     """
     from matcap_lab.bench.reflectance import GLOSS, gloss_experiment, materials
 
-    chosen = materials(slope or (0.0,))
-    _print(gloss_experiment(chosen, stops or (0, 1, 2, 3)), out, GLOSS)
+    _print(gloss_experiment(materials(slope or (0.0,)), stops or (0, 1, 2, 3)), out, GLOSS)
 
 
 @app.command()

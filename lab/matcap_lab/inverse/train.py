@@ -355,8 +355,7 @@ class TrainSettings:
 def start(config: InverseConfig, settings: TrainSettings) -> Training[Inverse]:
     """An untrained state."""
     torch.manual_seed(0)
-    model = Inverse(config).to(settings.device)
-    return Training(model, {"": settings.rate}, decay=_AVERAGE)
+    return Training(Inverse(config).to(settings.device), {"": settings.rate}, decay=_AVERAGE)
 
 
 def train(

@@ -198,8 +198,7 @@ def bench_scene(flash: FlashSetup) -> BenchScene:
         # Near and far alternate, so that height and distance are uncorrelated.
         distance = _DISTANCES[0] + (_DISTANCES[1] - _DISTANCES[0]) * ((3 * index) % LIGHTS) / 9.0
         strength = (distance / flash.distance) ** 2 / math.cos(polar)
-        place = spherical(distance, polar, index * _GOLDEN_ANGLE)
-        lights.append(BenchLight(place, strength))
+        lights.append(BenchLight(spherical(distance, polar, index * _GOLDEN_ANGLE), strength))
     return BenchScene(flash.distance, tuple(lights))
 
 

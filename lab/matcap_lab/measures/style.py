@@ -171,8 +171,7 @@ BINS = 64
 def xyz_histograms(picture: Tensor) -> NDArray[np.float64]:
     """(3, BINS) normalised histograms of X, Y and Z of an sRGB picture (3, H, W) in [0, 1]."""
     light = srgb_decode(picture.double().flatten(1).numpy())
-    white = REC709_TO_XYZ.sum(axis=1, keepdims=True)
-    shares = (REC709_TO_XYZ @ light / white).clip(0.0, 1.0)
+    shares = (REC709_TO_XYZ @ light / REC709_TO_XYZ.sum(axis=1, keepdims=True)).clip(0.0, 1.0)
     counts = [np.histogram(channel, BINS, (0.0, 1.0))[0] for channel in shares]
     return np.stack(counts) / light.shape[1]
 

@@ -254,8 +254,7 @@ def albedo(shown: Photographed) -> Made:
     began = time.perf_counter()
     fixed = photo_as_albedo(shown.photo, shown.scene.setup, DETAIL)
     seconds = time.perf_counter() - began
-    corner = fixed.maps.crop(0, 0, SIZE, SIZE)
-    return Made(shown.lit(corner, fixed.setup)[None], seconds)
+    return Made(shown.lit(fixed.maps.crop(0, 0, SIZE, SIZE), fixed.setup)[None], seconds)
 
 
 def from_prior(prior: Prior, shown: Photographed) -> tuple[Decoder, Tensor]:

@@ -196,8 +196,7 @@ def held_out_loss(
     losses = []
     for sample in samples:
         wanted = targets([sample], bank)
-        code = encode(model, sample, wanted[0])
-        maps = decode_windows(model.decoder, code, [sample], _SEED)
+        maps = decode_windows(model.decoder, encode(model, sample, wanted[0]), [sample], _SEED)
         loss, _ = compare(maps, [sample], wanted, bank)
         losses.append(float(torch.log1p(loss)))
     seen = [window(entry, 1) for entry in first_of_each(pack.training)[:_SHOWN]]

@@ -140,8 +140,7 @@ def mitsuba_picture(folder, file, place=NAMED_LIGHTS["top"]) -> np.ndarray:
     emitter.find("point").set("value", ", ".join(str(c) for c in place))
     emitter.find("rgb").set("value", repr(exposing_intensity(place)))
     (folder / "nearest.xml").write_bytes(ET.tostring(scene))
-    picture = mi.render(mi.load_file(str(folder / "nearest.xml")), spp=16)
-    return np.array(picture)[..., :3]
+    return np.array(mi.render(mi.load_file(str(folder / "nearest.xml")), spp=16))[..., :3]
 
 
 def blender_picture(file, maps, place=NAMED_LIGHTS["top"], *, corrected=True) -> np.ndarray:

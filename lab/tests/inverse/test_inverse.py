@@ -217,8 +217,7 @@ def test_held_out_patterns_are_never_trained_on() -> None:
     shown = [random_material(np.random.default_rng(seed)) for seed in range(200)]
     assert any(material.is_held_out for material in shown)
     for seed in range(40):
-        realise = training_material(np.random.default_rng(seed))
-        owner = getattr(realise, "__self__", None)
+        owner = getattr(training_material(np.random.default_rng(seed)), "__self__", None)
         assert owner is None or not hasattr(owner, "base") or not owner.is_held_out
 
 

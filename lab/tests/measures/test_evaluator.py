@@ -174,16 +174,14 @@ def test_error_grows_towards_a_wrong_material(evaluator, truth, shot):
 def test_black_pictures_compare(style):
     """A light below a bump's horizon may leave nothing; no division by zero."""
     size = SETTINGS.size
-    generator = torch.Generator().manual_seed(2)
-    speck = 1e-3 * torch.rand(1, 3, size, size, generator=generator)
+    speck = 1e-3 * torch.rand(1, 3, size, size, generator=torch.Generator().manual_seed(2))
     assert torch.isfinite(difference(style(speck), style(0.5 * speck))).all()
 
 
 def test_photo_as_albedo_gives_the_photograph_back(shot):
     """Under its own flash its mean is right; that it bakes the flash in is what the bench shows."""
     photo = as_photo(shot, 1, "leather")
-    captured = photo_as_albedo(photo, shot.setup, SETTINGS.detail)
-    maps = captured.maps.crop(160, 96, 192, 192)
+    maps = photo_as_albedo(photo, shot.setup, SETTINGS.detail).maps.crop(160, 96, 192, 192)
     assert maps.texel_size == 2.0 / SETTINGS.detail
     middle = torch.from_numpy(photo.pixels).permute(2, 0, 1)[:, 96:288, 160:352]
     assert float((maps.diffuse - middle).abs().mean()) < 0.05

@@ -335,8 +335,7 @@ def test_finer_maps_are_averaged():
     coarse = relight(even(64), light)
     fine = relight(even(128, 1.0 / 256), light, size=(64, 64))
     torch.testing.assert_close(fine, coarse, atol=1e-4, rtol=0)
-    blurred = relight(even(64), light, blur=0.8)
-    torch.testing.assert_close(blurred, coarse, atol=2e-3, rtol=0)
+    torch.testing.assert_close(relight(even(64), light, blur=0.8), coarse, atol=2e-3, rtol=0)
 
 
 def test_what_pixels_show_of_finer_maps_is_their_mean_radiance():

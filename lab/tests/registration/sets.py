@@ -113,8 +113,7 @@ def outcome_of(made: MadeSet, detail: int | None = None) -> SetOutcome:
         if detail is None:
             return compared(made, register(made.photos, fit_coarse(made.photos[0]).setup))
         network, clock = load_inverse(), CaptureClock(None, MULTIVIEW_STAGES)
-        of_all = register_in_any_order(made.photos)
-        found, coarse, plane = fitted_first(of_all, detail, clock)
+        found, coarse, plane = fitted_first(register_in_any_order(made.photos), detail, clock)
         read, _, _ = predict_alone(plane, coarse, network, clock)
         placed = aligned(Aligned.of(found.views, coarse.setup), read)
         return compared(made, replace(found, views=placed.views))

@@ -28,8 +28,7 @@ def ramps(count):
 
     By far more than a flash that points aside makes them.
     """
-    generator = torch.Generator().manual_seed(0)
-    tilt = 0.2 * (2 * torch.rand(count, 2, generator=generator) - 1)
+    tilt = 0.2 * (2 * torch.rand(count, 2, generator=torch.Generator().manual_seed(0)) - 1)
     u = torch.linspace(-1, 1, 64).expand(48, 64)
     v = torch.linspace(0.75, -0.75, 48)[:, None].expand(48, 64)
     light = (15.0 * (tilt[:, :1, None] * v - tilt[:, 1:, None] * u)).exp()

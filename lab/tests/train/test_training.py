@@ -137,8 +137,7 @@ def test_a_broken_or_foreign_checkpoint_is_refused(small_pack, tmp_path):
 
 
 def test_training_lowers_the_loss(small_pack, tmp_path):
-    config = replace(TINY, steps=16, report_every=8, average=0.5, rate=5e-3)
-    train(small_pack, config, tmp_path)
+    train(small_pack, replace(TINY, steps=16, report_every=8, average=0.5, rate=5e-3), tmp_path)
     style = [row["style"] for row in curves(tmp_path)]
     assert style[-1] < 0.95 * style[0]
 

@@ -435,6 +435,5 @@ def test_known_means_replace_what_a_photograph_leaves_open():
 @pytest.mark.parametrize("metal", [True, False])
 def test_metal_or_dielectric_by_hand_decides_the_coarse_fit(metal):
     shot = photographed(0.15, 0.15, width=256, height=192)
-    photo = photo_from_array(shot.linear.movedim(0, -1).numpy())
-    coarse = fit_coarse(photo, known_metal=metal)
+    coarse = fit_coarse(photo_from_array(shot.linear.movedim(0, -1).numpy()), known_metal=metal)
     assert coarse.conductor is metal and coarse.by_hand

@@ -75,8 +75,7 @@ def test_the_truth_is_left_alone() -> None:
 def test_a_flat_guess_is_moved_by_albedo_alone_until_it_re_renders() -> None:
     """F0 and roughness are a class's."""
     shot, light, valid, truth = _setting()
-    guess = _without_albedo_detail(truth)
-    refined = refine_albedo(guess, ERRORS, shot.linear, valid, light)
+    refined = refine_albedo(_without_albedo_detail(truth), ERRORS, shot.linear, valid, light)
     residual = radiance_residual(refined, shot.linear, valid, light)[0].numpy()
     assert np.median(np.abs(residual - cv2.GaussianBlur(residual, (0, 0), 16.0))) < 0.01
     assert not any(one.any() for one in (refined.specular, refined.roughness, refined.height))
@@ -230,8 +229,7 @@ def factor(albedo: float, roughness: float, strength: float) -> float:
     """What relief is scaled by where it was predicted `strength` times as strong as it is."""
     linear, light, truth = scene(albedo, roughness)
     guess = replace(truth, height=strength * truth.height)
-    noise = torch.full_like(linear, 1e-3)
-    found = scaled_by_glints(guess, linear, linear < 1.0, light, noise)
+    found = scaled_by_glints(guess, linear, linear < 1.0, light, torch.full_like(linear, 1e-3))
     return float(found.height.std() / guess.height.std())
 
 
@@ -339,8 +337,7 @@ def test_a_raws_noise_is_its_draws():
 def test_channels_alike_weigh_alike_and_all_weights_add_up_to_one():
     even = channel_weights(torch.full((3, 4, 4), 0.02))
     torch.testing.assert_close(even, torch.full((3, 4, 4), 1.0 / 3.0))
-    noise = torch.tensor([1.0, 0.01, 0.02])[:, None, None].expand(3, 4, 4)
-    weights = channel_weights(noise)
+    weights = channel_weights(torch.tensor([1.0, 0.01, 0.02])[:, None, None].expand(3, 4, 4))
     assert float(weights[0].max()) < 0.01
     torch.testing.assert_close(weights.sum(0), torch.ones(4, 4))
 
@@ -376,8 +373,7 @@ def _found(shot: Photographed, noise: float) -> MapSet:
     linear = (shot.linear + photographed).clamp_min(0.0)
     plane = plane_of(linear, torch.ones(linear.shape[1:], dtype=torch.bool), another)
     rectified = Rectified(None, shot.uniform, plane, (), network_input(plane))
-    found = estimate_exemplar(rectified, load_inverse(), CaptureClock(None))
-    return map_set_of(found.exemplar)
+    return map_set_of(estimate_exemplar(rectified, load_inverse(), CaptureClock(None)).exemplar)
 
 
 def test_twice_the_noise_changes_the_maps_by_no_more_than_itself() -> None:

@@ -81,8 +81,7 @@ def test_albedo_alone_is_not_taken_for_relief() -> None:
 
 
 def test_one_band_of_energy_stays_in_its_band() -> None:
-    x = np.arange(512)
-    wave = np.sin(2.0 * np.pi * x / 12.0)[None].repeat(384, 0).astype(np.float32)
+    wave = np.sin(2.0 * np.pi * np.arange(512) / 12.0)[None].repeat(384, 0).astype(np.float32)
     spectrum = np.square(slope_spectrum(wave)).sum(1)
     band = next(i for i, (longest, shortest) in enumerate(BANDS) if shortest < 12.0 <= longest)
     assert spectrum[band] > 0.95 * spectrum.sum()
@@ -455,5 +454,4 @@ def test_long_waves_keep_what_is_measured_or_their_own(measured, own, least, mos
     wanted[4:] = 0.0
     factors = undrawn_factors(wanted, height, tone, spectrum)
     assert (factors[3:] == 1.0).all() and least <= np.sqrt(factors[0]) <= most
-    negative = undrawn_factors(wanted, -height, tone, spectrum)
-    assert negative == pytest.approx(1.0, abs=1e-3)
+    assert undrawn_factors(wanted, -height, tone, spectrum) == pytest.approx(1.0, abs=1e-3)

@@ -156,8 +156,7 @@ def test_vignetting_stays_within_its_prior_deviation(five):
 
     def off(**prior_deviation):
         lost = {"vignetting": 0.3, "vignetting_quartic": 0.0}  # the photographs lose nothing
-        setup = FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost)
-        begun = SharedLight.of(setup, 5)
+        begun = SharedLight.of(FlashSetup(offset=(*light.offset.tolist(), 0.0), **lost), 5)
         begun = replace(begun, intensity=light.intensity, **prior_deviation)
         found, _ = shared_step(views, prior.mean, prior, begun)
         return float(found.vignetting.sum())

@@ -179,8 +179,7 @@ def test_flat_relief_stays_flat():
 def test_noise_of_the_first_photograph_is_no_prediction():
     true = _waves(2, 6.0)
     result, changes, first = _estimate(true, 1.0)
-    found = denoised(result, first, changes)
-    assert _energy(found - true) < 0.3 * _energy(result - true)
+    assert _energy(denoised(result, first, changes) - true) < 0.3 * _energy(result - true)
 
 
 def test_cross_energies_of_two_halves_are_free_of_noise():
@@ -199,8 +198,7 @@ def test_relief_is_scaled_to_the_cross_energy():
     steep = [np.stack(np.gradient(height)) for height in (shrunk, true)]
     assert _energy(steep[0]) == pytest.approx(_energy(steep[1]), rel=0.05)
     # Halves that disagree take as much as may be taken, and no more.
-    least = with_energies(true, texel, [-1.0] * 9)
-    assert _energy(least) == pytest.approx(0.36, abs=0.05)
+    assert _energy(with_energies(true, texel, [-1.0] * 9)) == pytest.approx(0.36, abs=0.05)
 
 
 # The surface whose slopes are measured, each by its precision.
@@ -286,8 +284,7 @@ def moved():
     def by(held):
         prior = ParameterPrior.of(read)
         free = set(range(5)).difference(held)
-        numbers = parameters_of(found.maps)
-        _, moves = shared_step(views, numbers, prior, found.light, moved=free)
+        _, moves = shared_step(views, parameters_of(found.maps), prior, found.light, moved=free)
         return [float(move[0, 2]) / flat.texel_size for move in moves]
 
     return by

@@ -97,8 +97,7 @@ def test_a_wrong_start_is_corrected():
 
 
 def _grain():
-    noise = np.random.default_rng(0).normal(size=(180, 240))
-    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    smooth = cv2.GaussianBlur(np.random.default_rng(0).normal(size=(180, 240)), (0, 0), 2.0)
     pixels = np.exp(0.3 * smooth / smooth.std()).astype(np.float32)[..., None].repeat(3, 2) / 4.0
     return Photo(pixels, pixels.max(-1) >= 1.0, 65.0, "exif", False, "grain", (240, 180))
 

@@ -246,8 +246,7 @@ def test_what_is_no_material_is_named_by_inspect_and_capture_alike(picture, says
 
 
 def test_a_thumbnail_is_named_and_not_rated():
-    photo = photo_from_array(shots.good("tile").pixels[:150, :200])
-    subject = inspect_photo(photo)["subject"]
+    subject = inspect_photo(photo_from_array(shots.good("tile").pixels[:150, :200]))["subject"]
     assert subject.rating is Rating.NOT_JUDGED and "200 x 150 pixels" in subject.says
 
 
@@ -461,15 +460,13 @@ def leather():
 
 def test_another_piece_of_the_same_material_under_the_same_flash_is_good(leather):
     photo, setup, seen = leather
-    again = render_rectified(shots.maps("leather", seed=4), setup)
-    assert judge(_seen(photo, seen, again)).fit
+    assert judge(_seen(photo, seen, render_rectified(shots.maps("leather", seed=4), setup))).fit
 
 
 def test_the_light_at_a_wrong_place_is_no_good(leather):
     photo, setup, seen = leather
     moved = replace(setup, offset=(0.7, -0.4, 0.0))
-    again = render_rectified(shots.maps("leather", seed=4), moved)
-    verdict = judge(_seen(photo, seen, again))
+    verdict = judge(_seen(photo, seen, render_rectified(shots.maps("leather", seed=4), moved)))
     assert not verdict.fit and verdict.worst.name in {"highlight_contrast", "light", "colour"}
 
 

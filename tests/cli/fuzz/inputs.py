@@ -76,8 +76,7 @@ def write_inputs(folder: Path) -> dict[str, list[Path]]:
     (folder / "matcap.toml").write_text(SETTINGS)
     write_material(folder / "small.matcap")
     write_example(folder / "example.matcap")
-    maps = random_maps(16, 16, low=0.1, high=0.6)
-    write_mapset(maps, folder / "set", MapSetInfo("set"))
+    write_mapset(random_maps(16, 16, low=0.1, high=0.6), folder / "set", MapSetInfo("set"))
     foreign = _write_foreign(folder, colour)
     (folder / "record.json").write_text(
         json.dumps({"format": "matcap batch record", "version": 1, "identity": "i",
@@ -107,8 +106,7 @@ def _write_foreign(folder: Path, colour: np.ndarray) -> list[Path]:
     Image.fromarray(normal).save(place / "w_Normal.tga")
     Image.fromarray(layer).save(place / "w_MaskMap.tif")
     Image.fromarray(colour).save(place / "w_AO.webp")
-    height = oiio.ImageBuf(np.float32(colour / 255.0))
-    height.write(str(place / "w_Displacement.exr"), "half")
+    oiio.ImageBuf(np.float32(colour / 255.0)).write(str(place / "w_Displacement.exr"), "half")
     Image.fromarray(grey).save(place / "w_Roughness.jpg")
     maps = random_maps(16, 16, low=0.1, high=0.6)
     write_export(ExportJob(maps, "out"), "unity-urp", folder / "exported")

@@ -133,8 +133,7 @@ WOVEN = (Wave(0.0625, 0.0), Wave(0.0, 0.125))
 
 
 def anchor(seed, waves=()):
-    generator = torch.Generator().manual_seed(seed)
-    numbers = torch.randn(CODE_SIZE + VARYING, generator=generator)
+    numbers = torch.randn(CODE_SIZE + VARYING, generator=torch.Generator().manual_seed(seed))
     return Anchor(numbers[:CODE_SIZE], numbers[CODE_SIZE:], waves)
 
 

@@ -57,8 +57,7 @@ def test_levels_are_means_of_one_endless_drawing(drawing):
     assert [level.shape[2:] for level in levels] == [(96 >> k, 128 >> k) for k in range(DEPTH)]
     inner = drawing.levels(3, Rectangle(AREA.x + 32, AREA.y + 16, 64, 48))
     for k, (part, whole) in enumerate(zip(inner, levels, strict=True)):
-        cut = whole[..., 16 >> k : 64 >> k, 32 >> k : 96 >> k]
-        assert torch.allclose(part, cut, atol=1e-5)
+        assert torch.allclose(part, whole[..., 16 >> k : 64 >> k, 32 >> k : 96 >> k], atol=1e-5)
     # By the exemplar's moments.
     wide = drawing.levels(3, Rectangle(0, 0, 512, 512))[0]
     assert wide.mean((0, 2, 3)).abs().max() < 0.2

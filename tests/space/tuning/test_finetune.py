@@ -186,8 +186,7 @@ def test_outliers_are_penalised_in_the_second_half_and_patches_never(monkeypatch
         """Where there is metal; its gradient too, which must be finite on even maps."""
         specular = torch.where(metal, 0.7, 0.04)[None, None].requires_grad_(True)
         flat = torch.full((1, 1, 64, 64), 0.3)
-        maps = MapSet(everywhere, specular, flat, 0.0 * flat, 0.01)
-        penalty = map_penalty(maps, None, share)
+        penalty = map_penalty(MapSet(everywhere, specular, flat, 0.0 * flat, 0.01), None, share)
         (gradient,) = torch.autograd.grad(penalty, specular, allow_unused=True)
         assert gradient is None or torch.isfinite(gradient).all()
         return float(penalty.detach())
@@ -293,8 +292,7 @@ def test_weights_of_cells_are_drawn_by_the_seed_and_trained():
     assert torch.equal(first[name], again[name]) and not torch.equal(first[name], other[name])
     wider = reading_cells(decoder, 1)
     wider(a_field(), CODE)[:, 0].square().mean().backward()
-    slope = wider.up[3][0].convolution.weight.grad[:, -CELL_CHANNELS:]
-    assert float(slope.abs().max()) > 0.0
+    assert float(wider.up[3][0].convolution.weight.grad[:, -CELL_CHANNELS:].abs().max()) > 0.0
 
 
 def test_the_given_decoders_are_unchanged():

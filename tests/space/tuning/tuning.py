@@ -20,8 +20,7 @@ CONFIG = DecoderConfig(noise_channels=4, widths=(6, 8, 8, 8, 8))
 
 def photograph():
     """(3, HEIGHT, WIDTH) radiance of blotches four texels wide."""
-    generator = torch.Generator().manual_seed(5)
-    wide = torch.randn(1, 6, HEIGHT + 4, WIDTH + 4, generator=generator)
+    wide = torch.randn(1, 6, HEIGHT + 4, WIDTH + 4, generator=torch.Generator().manual_seed(5))
     blotches = torch.nn.functional.avg_pool2d(wide, 4, 1)[0, :, :HEIGHT, :WIDTH] * 4.0
     mean = torch.tensor([*COARSE.diffuse, COARSE.specular, COARSE.roughness]).logit()
     raw = torch.cat([mean[:, None, None] + 0.4 * blotches[:5], 0.2 * blotches[5:]])
@@ -30,8 +29,7 @@ def photograph():
 
 def scene():
     """That photograph, cut into windows."""
-    linear = photograph()
-    plane = plane_of(linear, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
+    plane = plane_of(photograph(), torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
     bank = FilterBank(FilterBankConfig(sizes=(3,), filters=8, levels=3))
     windows = cut_windows(plane, bank, WINDOW)
     return PhotographTarget(windows, SETUP, plane.encoding, bank, (), plane.texel_size)

@@ -29,8 +29,7 @@ def filtering(g: np.random.Generator) -> Swept:
     column, row = (columns + 0.5) * side - 0.5, (rows + 0.5) * side - 0.5
     u = (column - (width - 1) / 2.0) * texture.texel_size
     v = ((height - 1) / 2.0 - row) * texture.texel_size
-    wide = np.full(u.shape, side * texture.texel_size, np.float32)
-    sample = sampler.read((u, v), wide)
+    sample = sampler.read((u, v), np.full(u.shape, side * texture.texel_size, np.float32))
 
     def mean(plane: NDArray[np.floating]) -> Values:
         parted = plane.astype(np.float64).reshape(height // side, side, width // side, side)
