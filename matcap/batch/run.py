@@ -434,16 +434,9 @@ def _of_death(photo: Path, code: int) -> work.Failure:
 
 def exit_code(entries: Sequence[work.BatchEntry], *, strict: bool = False) -> ExitCode:
     """Exit code of a batch; with `strict` only materials with a good verdict count as made."""
-    good = sum(
-        entry.state in ("made", "kept") and not (strict and _unfit(entry)) for entry in entries
-    )
+    verdicts = [one.record.get("verdict") for one in entries if one.state in ("made", "kept")]
+    good = sum(not (strict and one) or Rating(one["rating"]).fit for one in verdicts)
     return ExitCode.of(good, len(entries))
-
-
-def _unfit(entry: work.BatchEntry) -> bool:
-    """Whether the verdict is doubtful or failed."""
-    verdict = entry.record.get("verdict")
-    return verdict is not None and not Rating(verdict["rating"]).fit
 
 
 # A batch in two steps: prepare (list the samples and their states), then capture them.
