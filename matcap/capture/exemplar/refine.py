@@ -153,18 +153,12 @@ def refine_maps(
         height = torch.from_numpy(with_slopes_of_means(steep.height[0].numpy()))
         steep = replace(steep, height=height[None])
     fitted = with_mean_parameters(observed, replace(fitted, residuals=steep))
-    photograph = matte.linear, observed.shown
+    photograph = matte.linear, observed.shown, observed.light
     refined = refine_albedo(
-        fitted.residuals,
-        fitted.errors,
-        *photograph,
-        observed.light,
-        metal=metal,
-        noise=observed.noise,
+        fitted.residuals, fitted.errors, *photograph, metal=metal, noise=observed.noise
     )
     even = flattened(observed, replace(fitted, residuals=evened_albedo(observed, refined)))
-    shifted = with_photographed_mean(even.residuals, *photograph, observed.light, metal)
-    return replace(even, residuals=shifted)
+    return replace(even, residuals=with_photographed_mean(even.residuals, *photograph, metal))
 
 
 def evened_albedo(observed: Observation, residuals: SurfaceParameters) -> SurfaceParameters:
@@ -184,13 +178,9 @@ def evened_albedo(observed: Observation, residuals: SurfaceParameters) -> Surfac
     grey = deviation.mean(0, keepdim=True)
     matte = used & (specular <= max(_MATTE, float(np.median(specular[used]))))
     dimness = -observed.light.flash.power.mean(0).numpy()
-    excess = sum(
-        (
-            part * (1.0 - _evening(part, dimness, matte, _LIT_SHARE, _BY_CHANCE))
-            for part in (grey, deviation - grey)
-        ),
-        torch.zeros_like(deviation),
-    )
+    excess = torch.zeros_like(deviation)
+    for part in (grey, deviation - grey):
+        excess += part * (1.0 - _evening(part, dimness, matte, _LIT_SHARE, _BY_CHANCE))
     glints, deviation = 1.0 - albedo_weight(observed), deviation - excess
     if glints > 0.0:
         evening = _evening(deviation, specular, used, _MATTE_SHARE)
@@ -232,12 +222,8 @@ def flattened(observed: Observation, prediction: NetworkPrediction) -> NetworkPr
     """Remove low-frequency trends of albedo, except those of the class shares (flatten)."""
     plane, means = observed.plane, prediction.classes.flat()
     distances = (observed.from_mirror_point, observed.from_vignetting_centre)
-    even = flatten(
-        prediction.residuals - means,
-        prediction.confidence[0],
-        [(distance / plane.texel_size).numpy() for distance in distances],
-        plane.unit,
-    )
+    texels = [(distance / plane.texel_size).numpy() for distance in distances]
+    even = flatten(prediction.residuals - means, prediction.confidence[0], texels, plane.unit)
     return replace(prediction, residuals=even + means)
 
 
@@ -281,7 +267,6 @@ def _fitted_mean_parameters(
     """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
 
     Args:
-        prediction: the maps with their classes.
         texels: short side of the grid of the fit, at least.
     """
     classes = prediction.classes
@@ -437,14 +422,9 @@ def refine_albedo(
         difference[:, rows] = _log_difference(observed, log, valid[:, rows])
 
     def stepped(rows: slice, slow: Tensor) -> None:
-        common, chroma = _albedo_step(
-            (difference[:, rows] - slow[:, rows]).clamp(-_MOST_CHANGE, _MOST_CHANGE),
-            valid[:, rows],
-            shares[:, rows],
-            albedo[:, rows],
-            white[:, rows],
-            metal[:, rows],
-        )
+        change = (difference[:, rows] - slow[:, rows]).clamp(-_MOST_CHANGE, _MOST_CHANGE)
+        others = (each[:, rows] for each in (valid, shares, albedo, white, metal))
+        common, chroma = _albedo_step(change, *others)
         diffuse[:, rows] += (1.0 - metal[:, rows]) * (common + chroma)
         specular[:, rows] += metal[:, rows] * common
 
@@ -560,8 +540,7 @@ def scaled_by_glints(
     """Scale each octave of relief by its factor g_b, measured in the glints (module).
 
     Args:
-        residuals: of the exemplar from the coarse fit.
-        linear: (3, H, W) the photograph on the plane's grid.
+        residuals, linear: as of refine_albedo.
         measured: (3, H, W) bool: not clipped.
         noise: (3, H, W) standard deviation of log radiance.
         spectrum: measured in the photograph, or None.
