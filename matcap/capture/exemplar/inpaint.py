@@ -13,6 +13,7 @@ Finer detail, which is added to the maps later, is copied from the same places (
 from __future__ import annotations
 
 import ctypes
+import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -207,27 +208,19 @@ def _filled(
     exemplar: Exemplar, planes: _MapPlanes, source: BlockPlaces, copied: TexelMask
 ) -> Exemplar:
     """The exemplar with what is copied from its sources."""
-    slow = planes.stacked[HEIGHT] - planes.high_passed[HEIGHT]
-    texel = exemplar.texel_size
-    blended = composed(_blended_scale(planes.high_passed, texel), source, copied, _SEAM_REACH)
+    maps, texel = planes.high_passed.copy(), exemplar.texel_size
+    slow = planes.stacked[HEIGHT] - maps[HEIGHT]
+    # Blocks are blended in logarithms of albedo and F0, and heights in texels.
+    for kind in (DIFFUSE, SPECULAR):
+        maps[kind] = np.log(maps[kind].clip(DARKEST))
+    maps[HEIGHT] /= texel
+    blended = composed(maps, source, copied, _SEAM_REACH)
     return replace(
         exemplar,
         diffuse=np.where(copied, np.exp(blended[DIFFUSE]), exemplar.diffuse).clip(0.0, 1.0),
         specular=np.where(copied, np.exp(blended[SPECULAR]), exemplar.specular).clip(0.0, 1.0),
         roughness=np.where(copied, blended[ROUGHNESS], exemplar.roughness).clip(0.0, 1.0),
         height=np.where(copied, blended[HEIGHT] * texel + slow, exemplar.height),
-    )
-
-
-def _blended_scale(stacked: Floats, texel: float) -> Floats:
-    """Maps in which blocks are blended: logarithms of albedo and F0, heights in texels."""
-    return np.concatenate(
-        [
-            np.log(stacked[DIFFUSE].clip(DARKEST)),
-            np.log(stacked[SPECULAR].clip(DARKEST)),
-            stacked[ROUGHNESS],
-            stacked[HEIGHT] / texel,
-        ]
     )
 
 
@@ -433,14 +426,12 @@ def _continued(
     place: tuple[int, int], chosen: dict[tuple[int, int], tuple[int, int]]
 ) -> list[tuple[int, int]]:
     """Corners of the blocks that continue the donors of the neighbouring places."""
-    step = _BLOCK - _OVERLAP
-    around = [(dy, dx) for dy in (-step, 0, step) for dx in (-step, 0, step) if dy or dx]
-    continued = []
-    for dy, dx in around:
-        source = chosen.get((place[0] + dy, place[1] + dx))
-        if source is not None:
-            continued.append((source[0] - dy, source[1] - dx))
-    return continued
+    steps = (_OVERLAP - _BLOCK, 0, _BLOCK - _OVERLAP)
+    return [
+        (chosen[there][0] - dy, chosen[there][1] - dx)
+        for dy, dx in itertools.product(steps, steps)
+        if (there := (place[0] + dy, place[1] + dx)) in chosen
+    ]
 
 
 def _discontinuity(
@@ -591,26 +582,23 @@ def composed(maps: Floats, source: BlockPlaces, free: TexelMask, reach: float) -
     inside, here = free[box], source[:, *box]
     result = maps.copy()
     copied = maps[:, here[0], here[1]]
-
-    def wanted_of(plane: Floats, copied: Floats) -> NDArray[np.float64]:
-        return _mismatches(plane, copied, here, free)[inside]
-
     each = zip(maps, copied, strict=True)
-    wanted = np.stack(at_once(*(partial(wanted_of, *one) for one in each)))
+    wanted = np.stack(at_once(*(partial(_mismatches, *one, here, free, inside) for one in each)))
     result[:, *box][:, inside] = copied[:, inside] + _solved(wanted, inside, reach)
     return result
 
 
 def _mismatches(
-    plane: Floats, copied: Floats, here: BlockPlaces, free: TexelMask
+    plane: Floats, copied: Floats, here: BlockPlaces, free: TexelMask, inside: TexelMask
 ) -> NDArray[np.float64]:
-    """(h, w) sums over neighbours of how far gradients of `copied`, a map (H, W) at places `here`,
-    are from the wanted ones.
+    """(N,) sums over neighbours of how far gradients of `copied`, a map (H, W) at places `here`,
+    are from the wanted ones, at the N texels `inside` (h, w) that are free.
     """
     exact = copied.astype(np.float64)
     wanted = np.zeros_like(exact)
     for axis in (0, 1):
-        first, last = _ends(axis)
+        # All but the last, and all but the first line along the axis.
+        first, last = ((slice(None),) * axis + (part,) for part in (slice(-1), slice(1, None)))
         step = np.array([[[1 - axis]], [[axis]]])
         before, after = exact[first], exact[last]
         ahead, has_ahead = _at(plane, here[:, *first] + step, free)
@@ -620,7 +608,7 @@ def _mismatches(
         mismatch = np.where(known > 0.0, after - before - drawn / np.maximum(known, 1.0), 0.0)
         wanted[first] += mismatch
         wanted[last] -= mismatch
-    return wanted
+    return wanted[inside]
 
 
 def _solved(right: NDArray[np.float64], free: TexelMask, reach: float) -> Floats:
@@ -653,12 +641,6 @@ def _free_neighbours(free: TexelMask) -> tuple[NDArray[np.int64], Floats]:
     sides = ((before, within), (after, within), (within, before), (within, after))
     degree = np.stack([in_box[side][free] for side in sides], axis=1).sum(1)
     return np.stack([number[side][free] for side in sides], axis=1), degree
-
-
-def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """All but the last and all but the first line along an axis."""
-    every, first, last = slice(None), slice(None, -1), slice(1, None)
-    return ((first, every), (last, every)) if axis == 0 else ((every, first), (every, last))
 
 
 def _at(plane: Floats, places: BlockPlaces, free: TexelMask) -> tuple[Floats, Floats]:
