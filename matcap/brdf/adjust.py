@@ -162,8 +162,7 @@ def adjusted_planes(planes: Planes, adjustments: Adjustments) -> Planes:
     coloured = len(planes) in (8, 11)
     roughness, height = (4, 5) if not coloured else (6, 7)
     if not np.array_equal(adjustments.colour, NONE.colour):
-        mixed = np.einsum("ij,jhw->ihw", adjustments.colour, planes[:3])
-        adjusted[:3] = mixed.clip(0.0, 1.0)
+        adjusted[:3] = np.einsum("ij,jhw->ihw", adjustments.colour, planes[:3]).clip(0.0, 1.0)
     if coloured and adjustments.saturation != 1.0:
         adjusted[3:6] = np.einsum("ij,jhw->ihw", adjustments.mixing, planes[3:6]).clip(0.0, 1.0)
     if adjustments.roughness:

@@ -68,8 +68,7 @@ def by_slopes(normal: Tensor, vector: Tensor) -> Tensor:
         normal: (3, H, W) unit normals n.
         vector: (3, H, W) u, which is fixed.
     """
-    along = (normal * vector).sum(0, keepdim=True)
-    return normal[2:] * (normal[:2] * along - vector[:2])
+    return normal[2:] * (normal[:2] * (normal * vector).sum(0, keepdim=True) - vector[:2])
 
 
 def _one_sided_at_borders(field: Tensor, dim: int) -> Tensor:

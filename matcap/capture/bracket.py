@@ -325,8 +325,7 @@ def _following(
     grey, rows, columns = light.mean(axis=2), *light.shape[:2]
     if math.hypot(*way) < _LEAST_WAY or not flank.any():
         return np.ones((rows, columns, 1), np.float32)
-    blurred = cv2.GaussianBlur(grey, (0, 0), _LOBE * columns)
-    y, x = divmod(int(blurred.argmax()), columns)
+    y, x = divmod(int(cv2.GaussianBlur(grey, (0, 0), _LOBE * columns).argmax()), columns)
 
     def rings(x: float, y: float) -> Picture:
         down, across = np.ogrid[-y : rows - y - 0.5, -x : columns - x - 0.5]

@@ -131,8 +131,7 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
     if not seen.any():
         return 0.0
     log = np.log(np.maximum(linear.mean(0).numpy(), _FAINTEST))
-    middle = float(np.median(log[seen > 0.0]))
-    finer = (log - middle).clip(-MOST_RESIDUAL, MOST_RESIDUAL)
+    finer = (log - float(np.median(log[seen > 0.0]))).clip(-MOST_RESIDUAL, MOST_RESIDUAL)
     variances = []
     for scale in (2.0**octave for octave in range(_OCTAVES)):
         # The last blur removed all detail finer than half this scale: from 2 texels on, half as
@@ -150,8 +149,7 @@ def coarse_share(linear: Tensor, valid: Tensor) -> float:
 
 def _halved(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Box-filter to half the size."""
-    size = tuple(max(1, side // 2) for side in picture.shape[::-1])
-    return area_averaged(picture, size)
+    return area_averaged(picture, tuple(max(1, side // 2) for side in picture.shape[::-1]))
 
 
 def network_input(plane: Plane, waves: tuple[Wave, ...] = ()) -> Plane:

@@ -104,8 +104,7 @@ def synth(
         )
     area = chosen(SynthArea, where).rectangle
     subject, name = _subject(material, given.get("seed", 0), near)
-    read = chosen(ReadOptions, reading)
-    asked = SynthRequest(subject, area, name=name, read=read, **given)
+    asked = SynthRequest(subject, area, name=name, read=chosen(ReadOptions, reading), **given)
     slug = _slug(asked)
     which = "" if is_piece else f"_{area.width}x{area.height}_seed{asked.seed}"
     folder = out or Path(f"{name}{which}{slug}")

@@ -246,8 +246,7 @@ def _border_mismatch(
     """32 times the mean squared difference of both sides' appearance along the common border."""
     along_x = other.step[1] == 0
     long, short = (height, width) if along_x else (width, height)
-    step = max(level.spacing, long // _ALONG)
-    along = np.arange(-(long // 2), long - long // 2, step)
+    along = np.arange(-(long // 2), long - long // 2, max(level.spacing, long // _ALONG))
     edge = np.zeros_like(along) + sum(other.step) * (short // 2)
     dx, dy = (edge, along) if along_x else (along, edge)
     back_x, back_y = (-edge, along) if along_x else (along, -edge)

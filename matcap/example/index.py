@@ -512,8 +512,7 @@ def prepare(exemplar: Exemplar, index: Index, variety: float = 1.0) -> Lookup:
         variety: in [0, 1].
     """
     part = index.part or Frame.of(*exemplar.size)
-    features = features_of(planes_of(exemplar), index.scale)
-    grids = grids_of(features, len(index.bases))
+    grids = grids_of(features_of(planes_of(exemplar), index.scale), len(index.bases))
     appearances = at_once(*(partial(project, *one) for one in zip(grids, index.bases, strict=True)))
     cost = np.square(index.penalty, dtype=np.int32) << PENALTY_BITS
     lattice, coarsest = kept_lattice(index, variety), len(appearances) - 1

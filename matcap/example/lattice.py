@@ -306,8 +306,7 @@ def _repeats(planes: NDArray[np.floating], period: Doubles) -> bool:
     x, y = (round(along) for along in period)
     near = range(-_NEAR, _NEAR + 1)
     once = max(alike(x + dx, y + dy) for dx in near for dy in near)
-    half = alike(round(period[0] / 2), round(period[1] / 2))
-    return once > min(half + _GAIN, _ALIKE)
+    return once > min(alike(round(period[0] / 2), round(period[1] / 2)) + _GAIN, _ALIKE)
 
 
 def with_least_borders(planes: NDArray[np.floating], lattice: PhasedLattice) -> PhasedLattice:

@@ -54,8 +54,7 @@ def hash_places(seed: int, level: int, x: Integers, y: Integers) -> Hashes:
 
 def draw(hashes: Hashes, index: int, count: int) -> Integers:
     """The index-th random integer in [0, count) of each hash; count is at most 2^31."""
-    stride = np.array([index * _DRAW % _WORD], np.uint64)
-    bits = scramble(hashes + stride) >> np.uint64(32)
+    bits = scramble(hashes + np.array([index * _DRAW % _WORD], np.uint64)) >> np.uint64(32)
     return (bits * np.uint64(count) >> np.uint64(32)).astype(np.int64)
 
 

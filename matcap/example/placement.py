@@ -56,8 +56,7 @@ class Placement:
             return Placement(cost, rule)
         columns = None if joined is None else (joined.left, joined.right)
         rows = None if joined is None else (joined.top, joined.bottom)
-        across = _means(cost.T, sides[0], columns).T
-        return Placement(_means(across, sides[1], rows), rule)
+        return Placement(_means(_means(cost.T, sides[0], columns).T, sides[1], rows), rule)
 
     @property
     def draws(self) -> int:

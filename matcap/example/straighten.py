@@ -272,8 +272,7 @@ def _cost(planes: Planes, shift: Shift, scale: int) -> float:
     """Cost a row of the best seam between the exemplar and its shifted copy."""
     along, down = round(shift[0] / scale), round(shift[1] / scale)
     first, second = copies(planes, along, down)
-    difference = np.sqrt(np.square(first - second).mean(axis=0))
-    return least_cut(difference, LENGTH, closed=False)[1]
+    return least_cut(np.sqrt(np.square(first - second).mean(axis=0)), LENGTH, closed=False)[1]
 
 
 def copies(planes: Planes, along: int, down: int = 0) -> tuple[Planes, Planes]:

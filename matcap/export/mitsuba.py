@@ -168,8 +168,7 @@ def _texture(parent: ET.Element, name: str, file: str, *, colour: bool = False) 
     # By default ("auto") Mitsuba keeps integers of 16 bits as half floats, which have 11.
     ET.SubElement(texture, "string", name="format", value="variant")
     # Mitsuba maps a picture's first row to v = 0, the rectangle's lower border.
-    upright = ET.SubElement(texture, "transform", name="to_uv")
-    ET.SubElement(upright, "scale", x="1", y="-1")
+    ET.SubElement(ET.SubElement(texture, "transform", name="to_uv"), "scale", x="1", y="-1")
 
 
 # Export to Blender: textures, and a script that builds the material from them.

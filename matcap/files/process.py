@@ -53,8 +53,7 @@ def raise_on_signals() -> Callable[[], bool]:
 
 def importing(name: str) -> bool:
     """Whether a module's import has begun and not ended."""
-    spec = getattr(sys.modules.get(name), "__spec__", None)
-    return getattr(spec, "_initializing", False)
+    return getattr(getattr(sys.modules.get(name), "__spec__", None), "_initializing", False)
 
 
 def ignore_signals() -> None:

@@ -228,8 +228,7 @@ class Shortcut(nn.Module):
 def residual_block(inputs: int, outputs: int, stride: int) -> Shortcut:
     """Two 3 x 3 convolutions with a shortcut."""
     first, second = convolution(inputs, outputs, 3, stride), convolution(outputs, outputs, 3)
-    layers = [*first, nn.ReLU(inplace=True), *second]
-    return Shortcut(layers, inputs, outputs, stride)
+    return Shortcut([*first, nn.ReLU(inplace=True), *second], inputs, outputs, stride)
 
 
 def convolution(inputs: int, outputs: int, side: int, stride: int = 1) -> list[nn.Module]:

@@ -225,5 +225,4 @@ def _wide_blur(picture: Floats, deviation: float) -> Floats:
     """`blur` of a large deviation, on a grid of 4 x 4 pixels."""
     height, width = picture.shape[:2]
     small = area_averaged(picture, (max(1, width // 4), max(1, height // 4)))
-    blurred = cv2.resize(blur(small, deviation / 4.0), (width, height))
-    return np.asarray(blurred, np.float32)
+    return np.asarray(cv2.resize(blur(small, deviation / 4.0), (width, height)), np.float32)

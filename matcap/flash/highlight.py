@@ -145,8 +145,7 @@ def elongation(light: Luminance, highlight: Highlight) -> float:
     if over.sum() <= 0.0:
         return 1.0
     offsets = np.stack([each.ravel() for each in np.broadcast_arrays(u, v)])
-    spread = np.cov(offsets, aweights=over.ravel())
-    small, large = np.linalg.eigvalsh(spread).clip(1e-9)
+    small, large = np.linalg.eigvalsh(np.cov(offsets, aweights=over.ravel())).clip(1e-9)
     return float(np.sqrt(large / small))
 
 

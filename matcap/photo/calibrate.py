@@ -119,8 +119,7 @@ def read_card(path: Path, *, fov: float | None = None) -> Calibration:
             "no card is seen here, neither a ChArUco board nor, in a RAW, a ColorChecker",
             "photograph the card whole and sharp, or remove this photograph from the folder",
         )
-    digest = hashlib.sha256(repr(calibration).encode()).hexdigest()
-    return replace(calibration, digest=digest)
+    return replace(calibration, digest=hashlib.sha256(repr(calibration).encode()).hexdigest())
 
 
 def calibrated(photo: Photo, calibration: Calibration) -> Photo:
@@ -274,8 +273,7 @@ def _patches(box: Values, photo: Photo) -> tuple[Values, Values] | None:
     around = np.linspace(-_INSIDE, _INSIDE, 7)
     middles = np.array([[c * steps + 0.5, r * steps + 0.5] for r in range(4) for c in range(6)])
     offsets = np.array([[dx, dy] for dy in around for dx in around])
-    spots = (middles[:, None] + offsets).reshape(1, -1, 2)
-    seen = cv2.perspectiveTransform(spots, warp)[0]
+    seen = cv2.perspectiveTransform((middles[:, None] + offsets).reshape(1, -1, 2), warp)[0]
     rows, columns = photo.pixels.shape[:2]
     at = np.clip(seen.round(), 0, [columns - 1, rows - 1]).astype(int)
     if photo.clipped[at[:, 1], at[:, 0]].mean() > _MOST_CLIPPED:

@@ -261,8 +261,7 @@ def _headroom(coded: Coded, linearise: Linearise) -> float:
         return math.inf
     dtype = coded.codes.dtype
     full = largest_code(dtype) if np.issubdtype(dtype, np.integer) else coded.clip_at
-    codes = np.full((1, 1, 3), full, dtype)
-    brightest = float(linearise(codes).min()) / coded.white
+    brightest = float(linearise(np.full((1, 1, 3), full, dtype)).min()) / coded.white
     # Rounding of matrices and curves aside, codes end at white.
     return brightest if abs(brightest - 1.0) > 0.02 else 1.0
 

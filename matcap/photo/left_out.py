@@ -161,8 +161,7 @@ def _cut(cells: Values) -> int:
         if over[at] <= 1.0:
             break
         plane = int(np.argmax(steps[:, at] / limit[:, 0]))
-        inside = lines[plane, at + 2 : at + 2 + _BEFORE]
-        beyond = lines[plane, : at + 1] - np.median(inside)
+        beyond = lines[plane, : at + 1] - np.median(lines[plane, at + 2 : at + 2 + _BEFORE])
         sign = np.sign(beyond[at])
         if (sign * beyond > _KEPT * limit[plane, 0]).all():
             return int(at) + 2

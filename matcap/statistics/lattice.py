@@ -40,8 +40,7 @@ def autocorrelation(image: Tensor, lags: int) -> Tensor:
     (0, 0) is the variance. The Hann window attenuates each lag, equally for all images of a size.
     """
     height, width = image.shape[-2:]
-    correlation = torch.fft.irfft2(power_spectrum(image), s=(height, width))
-    rows = correlation[..., : lags + 1, :]
+    rows = torch.fft.irfft2(power_spectrum(image), s=(height, width))[..., : lags + 1, :]
     return torch.cat([rows[..., -lags:], rows[..., : lags + 1]], dim=-1)
 
 

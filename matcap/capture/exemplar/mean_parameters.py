@@ -370,8 +370,7 @@ class _RingFit:
         surfaces = self._target.surfaces(theta.unflatten(0, (-1, 5)))
         for share, surface in zip(self._shares, surfaces, strict=True):
             radiance = radiance + share * self._incidence.radiance(*surface)
-        rendered = self._rings.means(radiance)
-        return self._observed - (rendered + self._toe).log().flatten()
+        return self._observed - (self._rings.means(radiance) + self._toe).log().flatten()
 
     def weights(self, residual: Tensor) -> Tensor:
         """(N,) weights of residuals; that of a clipped ring's is small if the model is brighter."""

@@ -62,8 +62,7 @@ def filled(plane: ChannelPlane, known: NDArray[np.bool_]) -> ChannelPlane:
     share = area_averaged(weight, size)
     total = area_averaged(plane * weight, size)
     means = np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32)
-    coarser = filled(means, share > 1e-3)
-    return np.where(known, plane, enlarged(coarser, plane.shape))
+    return np.where(known, plane, enlarged(filled(means, share > 1e-3), plane.shape))
 
 
 def split(plane: ChannelPlane, bands: Sequence[tuple[float, float]] = BANDS) -> list[ChannelPlane]:

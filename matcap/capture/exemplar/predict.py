@@ -183,8 +183,7 @@ def seen_colour(linear: Tensor, weight: Tensor) -> Tensor:
 def whole_colour(linear: Tensor, weight: Tensor) -> Tensor:
     """(..., 3, 1, 1) mean colour, weighted by brightness; arguments as of seen_colour."""
     counted = linear.clamp_min(0.0) * weight.to(linear)
-    bright = counted.mean(-3, keepdim=True)
-    whole = (counted * bright).sum((-2, -1), keepdim=True) + 1e-6
+    whole = (counted * counted.mean(-3, keepdim=True)).sum((-2, -1), keepdim=True) + 1e-6
     return whole / whole.mean(-3, keepdim=True)
 
 
@@ -431,8 +430,7 @@ def _log_likelihood_ratio(target: RingTarget, theta: Tensor) -> Tensor:
         grey = residual.mean(0, keepdim=True)
         colour = (residual - grey).square().sum(0, keepdim=True)
         # Cauchy distribution: misplaced relief gives occasional large residuals.
-        tones = torch.log1p(grey.square())
-        costs.append(tones + torch.log1p(colour / _CHROMA_SCALE**2))
+        costs.append(torch.log1p(grey.square()) + torch.log1p(colour / _CHROMA_SCALE**2))
     bare, rest = costs
     # Blurred: classes form patches, and slopes towards and away from the light cancel.
     around = _BLUR * target.linear.shape[-1]

@@ -317,8 +317,7 @@ def _dimmest(views: Resampled, light: SharedLight) -> Tensor:
     """(3, H, W) mean of the dimmest half of the photographs of each texel, over irradiance."""
     reflected = _reflected(views, light)
     order = reflected.sum(1, keepdim=True).nan_to_num(torch.inf).argsort(0).expand_as(reflected)
-    half = reflected.gather(0, order)[: max(1, len(views) // 2)]
-    return half.nanmean(0).nan_to_num(1e-3)
+    return reflected.gather(0, order)[: max(1, len(views) // 2)].nanmean(0).nan_to_num(1e-3)
 
 
 def _clusters(dim: Tensor, count: int) -> Tensor:

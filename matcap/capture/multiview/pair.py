@@ -178,8 +178,7 @@ def with_ambient_gradient(views: Resampled, parameters: Tensor, light: SharedLig
     light = replace(light, ambient=torch.tensor(UNIFORM_SKY))
     ratio = Ratio.of(views, parameters, light)
     around = max(ratio.use.shape) / _WINDOWS
-    band = np.sum(split(ratio.log)[:4], axis=0)
-    energy = local_mean(np.square(band), ratio.use, around)
+    energy = local_mean(np.square(np.sum(split(ratio.log)[:4], axis=0)), ratio.use, around)
     x, y = (smoothed(each, around) for each in ratio.sensitivity)
     seen = smoothed(ratio.use, around) > 0.8
     seen_share = float(seen.mean())

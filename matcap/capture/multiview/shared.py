@@ -133,8 +133,7 @@ def shared_step(
         step = torch.linalg.solve(matrix, right)
         start.parts(step).move.clamp_(-largest_move, largest_move)
         values = values + step.clamp(-1.5, 1.5)
-        offset = start.parts(values).offset
-        offset.clamp_(flash - _LARGEST_OFFSET, flash + _LARGEST_OFFSET)
+        start.parts(values).offset.clamp_(flash - _LARGEST_OFFSET, flash + _LARGEST_OFFSET)
         texel_step = texel_step - (by_shared * step.float()[:, None]).sum(1)
         some = some.clone()
         some[:PARAMETERS] += texel_step.clamp(-0.7, 0.7)[:, None]

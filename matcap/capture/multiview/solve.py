@@ -304,8 +304,7 @@ def _denoised(height: Tensor, iterate: _Iterate) -> Tensor:
         result = with_energies(result, texel_size, iterate.slope_energies)
     if len(iterate.step.halves):
         one, other = heights(iterate.step.halves)
-        energies = cross_energies(one, other, texel_size)
-        result = with_energies(result, texel_size, energies)
+        result = with_energies(result, texel_size, cross_energies(one, other, texel_size))
     return torch.from_numpy(result)[None]
 
 

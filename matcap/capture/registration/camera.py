@@ -247,8 +247,7 @@ def adjust(
         fitted = values[block]
         cameras.append(bundle.cameras(pair, fitted)[1])
         errors.append(float(np.median(np.hypot(*bundle.residuals(pair, fitted)))))
-    first = _adjusted(setup, values)
-    return Adjusted(first, tuple(cameras), tuple(errors), bundle, values)
+    return Adjusted(_adjusted(setup, values), tuple(cameras), tuple(errors), bundle, values)
 
 
 @dataclass(frozen=True)

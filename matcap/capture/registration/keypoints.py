@@ -123,8 +123,7 @@ def matched(first: Keypoints, second: Keypoints) -> tuple[Doubles, Doubles]:
     places = one / first.pixel, other / second.pixel
     _, chosen = _homography(*places)
     if chosen.sum() < _ENOUGH:
-        voted = _voted(one, other, second.shape[j] / first.shape[i])
-        among = _consistent(voted, *places)
+        among = _consistent(_voted(one, other, second.shape[j] / first.shape[i]), *places)
         chosen = among if among.sum() > chosen.sum() else chosen
     return one[:, chosen], other[:, chosen]
 

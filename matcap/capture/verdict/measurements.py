@@ -335,8 +335,7 @@ def patchiness(picture: Picture) -> float:
     Directions are (Gxx - Gyy, 2 Gxy) / (Gxx + Gyy) of the structure tensor of log luminance, in
     [-1, 1], of _PATCH_TILES across: patches lit along different directions are a quilt.
     """
-    log = cv2.GaussianBlur(_log_luminance(picture), (0, 0), 1.0)
-    down, across = np.gradient(log)
+    down, across = np.gradient(cv2.GaussianBlur(_log_luminance(picture), (0, 0), 1.0))
     tiles = [
         cell_means(product, _PATCH_TILES)
         for product in (across * across, down * down, across * down)

@@ -314,8 +314,7 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
     """A rectangle (left, top, right, bottom) of a photograph, blurred to (width, height) cells."""
     left, top, right, bottom = box
     rows, columns = photo.pixels.shape[:2]
-    pixels = photo.pixels[top:bottom, left:right]
-    small = area_averaged(pixels, size).astype(np.float64)
+    small = area_averaged(photo.pixels[top:bottom, left:right], size).astype(np.float64)
     full = photo.full[top:bottom, left:right]
     clipped = area_averaged(full.astype(np.float32), size) > MOST_LEFT_OUT
     knee = FULL if photo.radiometric or photo.floating else _KNEE_DEVELOPED
@@ -340,5 +339,4 @@ def _averaged(photo: Photo, box: tuple[int, int, int, int], size: tuple[int, int
         kept = area_averaged(part, size).ravel() < MOST_LEFT_OUT
         # The sum of weights is that without a mask, or 0 if no cell is left.
         weight = weight * kept * (count / max(float(kept.sum()), 1.0))
-    log = flat(np.log(small + toe))
-    return CoarseCells(image, log, flat(toe), flat(above), weight)
+    return CoarseCells(image, flat(np.log(small + toe)), flat(toe), flat(above), weight)
