@@ -42,6 +42,7 @@ from matcap.files.color import srgb_slope
 from matcap.files.containers import FileKind
 from matcap.files.process import quiet_decoders
 from matcap.photo.exif import Exif, read_exif
+from matcap.photo.left_out import dilated
 from matcap.photo.load import file_kind, load_photo
 from matcap.photo.photo import FULL, Photo, ToneCurve
 from matcap.photo.response import faintest_value, ratio_of_exposures
@@ -222,9 +223,10 @@ class Bracket:
             view, light, weight = self.views[number], self.light(number), self._weight(number)
             if number != longest_first[0]:
                 faintest = self.factors[number] * faintest_value(view.photo)
-                way = self._way(longest_first[0], number)
+                x, y = self.views[longest_first[0]].highlight
+                way = view.highlight[0] - x, view.highlight[1] - y
                 flank = (weights > 0.0) & (light > faintest) & ~clips[..., None]
-                flank &= _around(clips, view.glint_reach)[..., None]
+                flank &= dilated(clips, view.glint_reach)[..., None]
                 known = np.asarray(total / np.maximum(weights, 1e-30), np.float32)
                 follows = _following(light, known, flank, way)
                 light = light * follows
@@ -232,7 +234,7 @@ class Bracket:
                 light = light * _evening(light, total, weights, faintest, view.glint_reach)
                 moved = _moved(light, total, weights, faintest)
                 bright = np.maximum(light, known).max(axis=2) > _GLINT
-                glint = moved & bright & _around(clips, view.glint_reach)
+                glint = moved & bright & dilated(clips, view.glint_reach)
                 weight = weight * ~(moved & ~glint)[..., None]
                 for each in (total, weights, noise):
                     each[glint & view.inside] = 0.0
@@ -264,11 +266,6 @@ class Bracket:
             tone=self.views[longest].photo.tone or self.curves[longest],
             notes=(*first.notes, *self._notes()),
         )
-
-    def _way(self, longer: int, number: int) -> tuple[float, float]:
-        """Way (x, y) of a highlight from a longer exposure to another, pixels."""
-        (x, y), (across, down) = self.views[longer].highlight, self.views[number].highlight
-        return across - x, down - y
 
     def _notes(self) -> tuple[str, ...]:
         others = []
@@ -305,12 +302,6 @@ class Bracket:
         weight = fade / (relative * np.square(light) + np.float32(1e-12))
         known = view.inside & ~view.clipped
         return np.asarray(np.where(known[..., None], weight, 0.0), np.float32)
-
-
-def _around(where: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
-    """(H, W) whether a place is up to so many pixels away."""
-    square = np.ones((2 * reach + 1,) * 2, np.uint8)
-    return np.asarray(cv2.dilate(where.astype(np.uint8), square) > 0)
 
 
 def _following(

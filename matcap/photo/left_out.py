@@ -71,6 +71,12 @@ def area_averaged(picture: NDArray[Any], size: tuple[int, ...]) -> NDArray[np.fl
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
+def dilated(where: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """(H, W) whether a place is up to `reach` pixels away along rows and columns."""
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    return np.asarray(cv2.dilate(where.astype(np.uint8), square) > 0)
+
+
 def shrunk(photo: Photo, long_side: int, tone: ToneCurve) -> Photo:
     """A photograph of which no noise is known, downsampled, its tone curve undone before."""
     height, width = photo.clipped.shape

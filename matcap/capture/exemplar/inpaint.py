@@ -37,6 +37,7 @@ from matcap.files.threads import at_once, one_thread
 from matcap.flash.highlight import remaining_highlight
 from matcap.flash.least_squares import conjugate_gradients
 from matcap.flash.light import DARKEST
+from matcap.photo.left_out import dilated
 from matcap.statistics.lattice import Wave
 from matcap.statistics.streaks import streaks
 
@@ -178,7 +179,7 @@ def transport(
     confidence, known = exemplar.confidence[0], kept.numpy()
     relative = confidence / max(float(np.quantile(confidence[known], _WELL_SEEN)), 1e-6)
     most = float(np.quantile(relative[known], _MOST_HIDDEN)) + 1e-6
-    hidden = _around(relative < min(_LEAST_CONFIDENCE, most))
+    hidden = dilated(relative < min(_LEAST_CONFIDENCE, most), _SPREAD)
     # Of a black sample more than the hidden part is too dark to show relief.
     seen = relative >= min(_LEAST_CONFIDENCE, float(np.median(relative[known])))
     donors = _donors(seen & ~hidden & known, exemplar.diffuse)
@@ -252,7 +253,7 @@ class _Photograph:
     ) -> None:
         self._log = linear.clamp_min(DARKEST).log()
         # Log radiance is steep where it begins to clip.
-        self._valid = torch.from_numpy(~_around(~valid.numpy()))
+        self._valid = torch.from_numpy(~dilated(~valid.numpy(), _SPREAD))
         self._light = light
         maps = map_set_of(exemplar)
         planes = torch.cat([maps.diffuse, maps.specular, maps.roughness, maps.normal])
@@ -488,12 +489,6 @@ def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:
     lightness /= lightness[known].std() + 1e-3
     features = np.stack([lightness, across / steep, down / steep])
     return _MapPlanes(stacked, high_passed, features.astype(np.float32))
-
-
-def _around(texels: TexelMask) -> TexelMask:
-    """(H, W) bool: texels, and those within _SPREAD of them."""
-    square = np.ones((2 * _SPREAD + 1,) * 2, np.uint8)
-    return np.asarray(cv2.dilate(texels.astype(np.uint8), square) > 0)
 
 
 def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
