@@ -292,12 +292,17 @@ def _sharpness(photo: Photo) -> Finding:
 
 
 def _stationarity(photo: Photo, tiles: Values) -> Finding:
-    rows, columns = tiles.shape
-    row, column = divmod(int(tiles.argmax()), columns)
-    where = whereabouts(*_upright(photo, (column + 0.5) / columns, (row + 0.5) / rows))
+    left, top, width, height = tile = largest_tile(tiles)
+    where = whereabouts(*_upright(photo, left + 0.5 * width, top + 0.5 * height))
     finding = CHECKS["stationarity"].finding(float(np.sqrt(np.mean(tiles**2))), where=where)
-    tile = (column / columns, row / rows, 1.0 / columns, 1.0 / rows)
     return replace(finding, where=upright_region(photo, tile))
+
+
+def largest_tile(values: NDArray[Any]) -> Region:
+    """The largest of tiles, in shares of the picture."""
+    rows, columns = values.shape
+    row, column = divmod(int(values.argmax()), columns)
+    return column / columns, row / rows, 1.0 / columns, 1.0 / rows
 
 
 def _radiometric(photo: Photo) -> Finding:

@@ -35,6 +35,7 @@ from matcap.photo.inspect import (
     band_passed,
     channel_mean,
     inspect_photo,
+    largest_tile,
     upright_region,
 )
 from matcap.photo.left_out import cell_means
@@ -255,7 +256,7 @@ def texture_contrasts(
             of = (math.sqrt(float(np.median(tile[region]))) for tile in (before[band], after[band]))
             contrast[name] = (next(of), next(of))
             grown = change if contrast[name][1] > contrast[name][0] else -change
-            places[name] = _tile(np.where(region, grown, -np.inf))
+            places[name] = largest_tile(np.where(region, grown, -np.inf))
     return contrast, places
 
 
@@ -284,7 +285,7 @@ def uneven_spots(
         if abs(math.log(ratio)) > abs(math.log(strongest)):
             shown = bands[1] > higher - _SHALLOW if ratio > 1.0 else bands[1] < _SHALLOW - darker
             strongest = ratio
-            places = {"spots": _tile(cell_means((seen & shown).astype(np.float32), _TILES))}
+            places = {"spots": largest_tile(cell_means((seen & shown).astype(np.float32), _TILES))}
     return strongest, places
 
 
@@ -354,13 +355,6 @@ def _bright_tiles(picture: Picture) -> NDArray[np.bool_]:
     bright = np.zeros(light.shape, bool)
     bright.flat[light.argsort(axis=None)[-math.ceil(_BRIGHT * light.size) :]] = True
     return bright
-
-
-def _tile(values: NDArray[Any]) -> Region:
-    """The largest of tiles, in shares of the picture."""
-    rows, columns = values.shape
-    row, column = divmod(int(values.argmax()), columns)
-    return column / columns, row / rows, 1.0 / columns, 1.0 / rows
 
 
 def tile_contrasts(picture: Picture) -> dict[str, Picture]:
