@@ -370,7 +370,7 @@ def coarsened(exemplar: Exemplar, bits: int) -> Exemplar:
         exemplar = replace(
             exemplar,
             **{
-                name: _halved(getattr(exemplar, name))
+                name: halved(getattr(exemplar, name))
                 for name in ("diffuse", "specular", "roughness", "height", "confidence")
             },
             texel_size=2.0 * exemplar.texel_size,
@@ -378,7 +378,8 @@ def coarsened(exemplar: Exemplar, bits: int) -> Exemplar:
     return exemplar
 
 
-def _halved(planes: Floats) -> Floats:
+def halved(planes: Floats) -> Floats:
+    """(C, H // 2, W // 2) averages of 2 x 2 texels of planes (C, H, W)."""
     rows, columns = planes.shape[1] // 2 * 2, planes.shape[2] // 2 * 2
     pairs = planes[:, 0:rows:2, :columns] + planes[:, 1:rows:2, :columns]
     return (pairs[:, :, 0::2] + pairs[:, :, 1::2]) * np.float32(0.25)

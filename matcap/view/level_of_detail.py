@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from matcap.example.coordinates import Places
-from matcap.example.example import Example, coarse_places, detail_bits
+from matcap.example.example import Example, coarse_places, detail_bits, halved
 from matcap.example.exemplar import Exemplar
 from matcap.example.library import draw, hash_places
 from matcap.field.field import Field
@@ -50,12 +50,6 @@ def moments_of(stacked: Planes, texel_size: float) -> Planes:
     moments[SQUARES] = np.square(moments[SLOPE_X]) + np.square(moments[SLOPE_Y])
     moments[HEIGHT] = inner[-1]
     return moments
-
-
-def halved(moments: Planes) -> Planes:
-    """Averages of 2 x 2 texels; both sides must be even."""
-    rows = moments[:, 0::2] + moments[:, 1::2]
-    return (rows[:, :, 0::2] + rows[:, :, 1::2]) * np.float32(0.25)
 
 
 def edged(stacked: Planes) -> Planes:

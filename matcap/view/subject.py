@@ -20,7 +20,7 @@ from PIL import Image
 from matcap.brdf.folder import read_mapset
 from matcap.brdf.maps import MapSet
 from matcap.errors import UsageError
-from matcap.example.example import Example
+from matcap.example.example import Example, halved
 from matcap.export.job import known_scale
 from matcap.field.material import Material
 from matcap.field.options import AS_IT_IS, ReadOptions
@@ -329,7 +329,7 @@ def packed(moments: lod.Planes, texel_size: float) -> Page:
     ends = tuple((float(each.min()), float(each.max())) for each in shown)
     parts = []
     for mip in range(MIPS):
-        moments = lod.halved(moments) if mip else moments
+        moments = halved(moments) if mip else moments
         albedo, metal = _halves(moments[lod.ALBEDO][:4]), _halves(moments[lod.ALBEDO][4:])
         surface = np.empty((*moments.shape[1:], 4), "<f4")
         surface[..., 0] = moments[lod.ALPHA2]
