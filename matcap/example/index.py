@@ -159,7 +159,8 @@ class Index:
             bases.append(Basis(weights, shift, step_of(level)))
             shape = (2, *_similar_shape(width, height, level))
             places = unpack(tensor(f"similar.{level}"), shape, np.int16)
-            _check_places(places, width, height)
+            if int(places.min()) < 0 or not (places.max(axis=(1, 2)) < size).all():
+                raise ValueError(f"similar places beyond {width} x {height} texels")
             similar.append(np.ascontiguousarray(places.transpose(1, 2, 0)))
         return Index(
             Scale(_floats(about["offsets"]), _floats(about["factors"])),
@@ -202,16 +203,16 @@ def build_index(
     lattice = lattice and with_least_borders(centred, lattice)
     count = level_count(*shown.size)
     if lattice is not None:
-        count = min(count, _ordered_levels(lattice))
+        # Levels at which its patch is at least _FINENESS places wide.
+        fine = math.floor(math.log2(lattice.patch_width() / _FINENESS)) + 1
+        count = min(count, max(1, fine))
     grids = grids_of(features, count)
 
     def candidates_of(level: int) -> tuple[Basis, Candidates]:
         basis = choose_basis(grids[level], step_of(level))
         return basis, _similar(shown, level, project(grids[level], basis))
 
-    def of_levels() -> tuple[tuple[Basis, Candidates], ...]:
-        return at_once(*(partial(candidates_of, level) for level in range(count)))
-
+    of_levels = partial(at_once, *(partial(candidates_of, level) for level in range(count)))
     levels, penalty = at_once(of_levels, partial(_penalty, exemplar, planes if one_light else None))
     bases, candidates = [basis for basis, _ in levels], [each for _, each in levels]
     bits, coarsest = grid_bits(count - 1), project(grids[-1], bases[-1])
@@ -233,11 +234,6 @@ def build_index(
         rule=RULE if one_light else 1,
         aspect=1.0 if lattice else grain_aspect(coarsest, frame_of(count - 1, shown), bits),
     )
-
-
-def _ordered_levels(lattice: PhasedLattice) -> int:
-    """Number of levels at which a lattice's patch is at least _FINENESS places wide."""
-    return max(1, math.floor(math.log2(lattice.patch_width() / _FINENESS)) + 1)
 
 
 def _similar(part: Frame, level: int, appearance: Appearance) -> Candidates:
@@ -361,12 +357,6 @@ def _similar_shape(width: int, height: int, level: int) -> tuple[int, int]:
     """(rows, columns) of a level's candidate grid, which covers its appearance grid."""
     bits = grid_bits(level)
     return _shape(width >> bits, height >> bits, similar_bits(level) - bits)
-
-
-def _check_places(places: NDArray[np.int16], width: int, height: int) -> None:
-    x, y = places
-    if int(places.min()) < 0 or int(x.max()) >= width or int(y.max()) >= height:
-        raise ValueError(f"similar places beyond {width} x {height} texels")
 
 
 def _part(stated: list[int], width: int, height: int) -> Frame:

@@ -190,7 +190,7 @@ def _likeliest(some: list[_Candidate], usual: float, width: int, scale: int) -> 
     for one in ranked:
         if len(separate) == _CANDIDATES:
             break
-        if all(_largest_difference(one, other) > scale for other in separate):
+        if all(np.abs(np.subtract(one.shift, other.shift)).max() > scale for other in separate):
             separate.append(one)
     return separate
 
@@ -262,10 +262,6 @@ def _ordered(
             for place, size in zip((row, column), table.values.shape, strict=True)
         )
         yield _Candidate((float(shift[0]), float(shift[1])), float(table.values[row, column]))
-
-
-def _largest_difference(one: _Candidate, other: _Candidate) -> float:
-    return max(abs(a - b) for a, b in zip(one.shift, other.shift, strict=True))
 
 
 def _cost(planes: Planes, shift: Shift, scale: int) -> float:

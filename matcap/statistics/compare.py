@@ -461,7 +461,10 @@ def _quantiles(level: Tensor) -> Tensor:
     count = min(QUANTILES, flat.shape[2])
     chunk = flat.shape[2] // count
     centred = flat - flat.mean(dim=2, keepdim=True)
-    ordered = centred.gather(2, _order(flat)) if flat.requires_grad else _sorted(centred)
+    if flat.requires_grad:
+        ordered = centred.gather(2, _order(flat))
+    else:
+        ordered = torch.from_numpy(np.sort(centred.cpu().float().numpy(), axis=2)).to(flat)
     return ordered[..., : chunk * count].unflatten(2, (count, chunk)).mean(dim=3)
 
 
@@ -475,8 +478,3 @@ def _order(flat: Tensor) -> Tensor:
     else:
         ordered = np.argsort(numbers.float().numpy(), axis=2)
     return torch.from_numpy(ordered).to(flat.device)
-
-
-def _sorted(flat: Tensor) -> Tensor:
-    """(B, C, n) sorted along n, without a gradient."""
-    return torch.from_numpy(np.sort(flat.cpu().float().numpy(), axis=2)).to(flat)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from matcap.capture.verdict.causes import UNSEEN, ExemplarMeasurements, causes
+from matcap.capture.verdict.causes import UNSEEN, causes
 from matcap.capture.verdict.measurements import Measurements
 from matcap.flash.highlight import FAINTEST_HIGHLIGHT, Highlight
 from matcap.photo.checks import CHECKS, Cause, Finding, Rating
@@ -236,7 +236,8 @@ def findings(seen: Measurements) -> Iterator[Finding]:
     yield _spots(seen.spots)
     yield _pattern(seen)
     yield CHECKS["patches"].finding(seen.patches - min(seen.patches, 1.0))
-    yield from _exemplar(seen.exemplar)
+    if seen.exemplar.repeats:
+        yield CHECKS["repeat"].finding(seen.exemplar.repeats)
 
 
 def more_photographs(given: int, *, repeats: bool = False) -> str:
@@ -319,9 +320,3 @@ def _pattern(seen: Measurements) -> Finding:
     before, after = seen.order
     kept = min(max(after, 0.0) / before, 1.0)
     return CHECKS["pattern"].finding(1.0 - kept, kept=100.0 * kept)
-
-
-def _exemplar(seen: ExemplarMeasurements) -> Iterator[Finding]:
-    """Finding on the exemplar's rearrangement; none without one."""
-    if seen.repeats:
-        yield CHECKS["repeat"].finding(seen.repeats)
