@@ -132,18 +132,6 @@ def inpainted(
     return transport(exemplar, *photographed, observed.light, waves)
 
 
-@dataclass(frozen=True)
-class _MapPlanes:
-    """Map planes in three forms: original, to be copied, and to be compared."""
-
-    stacked: Floats
-    """(6, H, W) the exemplar's maps."""
-    high_passed: Floats
-    """(6, H, W) these maps with height high-passed, as low frequencies are not copied."""
-    features: Floats
-    """(3, H, W) channel mean of log albedo, and slopes (x, down), each over its deviation."""
-
-
 @one_thread()
 @torch.no_grad()
 def transport(
@@ -191,30 +179,28 @@ def transport(
     places = [p for p in _grid(hidden.shape) if hidden[_block(p)].mean() > _WANTED_SHARE]
     if not places:
         return exemplar, None
-    planes, trend = at_once(
-        partial(_map_planes, exemplar, ~hidden), partial(_trend, exemplar, ~hidden)
+    (features, fine), trend = at_once(
+        partial(_features, exemplar, ~hidden), partial(_trend, exemplar, ~hidden)
     )
     # From visible surroundings inwards, so that patterns continue.
     places.sort(key=lambda p: -float(relative[_block(p)].mean()))
     valid = valid & torch.from_numpy(confidence > 0.0)
     photograph = _Photograph(exemplar, linear, valid, light)
-    choice = _Donors(donors, ~hidden, trend, _lattice(planes, relative, waves))
-    chosen = _choose(places, choice, planes, photograph)
+    choice = _Donors(donors, ~hidden, trend, _lattice(features, relative, waves))
+    chosen = _choose(places, choice, features, photograph)
     del photograph, choice  # 80 MB of 1024 texels across, which composing has other use for
     source, copied = _sources(chosen, hidden)
-    return _filled(exemplar, planes, source, copied), Copies(source, copied)
+    return _filled(exemplar, fine, source, copied), Copies(source, copied)
 
 
-def _filled(
-    exemplar: Exemplar, planes: _MapPlanes, source: BlockPlaces, copied: TexelMask
-) -> Exemplar:
-    """The exemplar with what is copied from its sources."""
-    maps, texel = planes.high_passed.copy(), exemplar.texel_size
-    slow = planes.stacked[HEIGHT] - maps[HEIGHT]
+def _filled(exemplar: Exemplar, fine: Floats, source: BlockPlaces, copied: TexelMask) -> Exemplar:
+    """The exemplar with what is copied from its sources; of height only what is `fine` (H, W)."""
+    maps, texel = exemplar.stacked().astype(np.float32), exemplar.texel_size
+    slow = maps[HEIGHT] - fine
     # Blocks are blended in logarithms of albedo and F0, and heights in texels.
     for kind in (DIFFUSE, SPECULAR):
         maps[kind] = np.log(maps[kind].clip(DARKEST))
-    maps[HEIGHT] /= texel
+    maps[HEIGHT] = fine / texel
     blended = composed(maps, source, copied, _SEAM_REACH)
     return replace(
         exemplar,
@@ -351,20 +337,20 @@ class _Donors:
         return blocks[self._allowed[blocks[:, 0], blocks[:, 1]]]
 
 
-def _lattice(planes: _MapPlanes, seen: Floats, waves: tuple[Wave, ...]) -> PhasedLattice | None:
-    """The lattice of planes, which count by how well they are seen."""
+def _lattice(features: Floats, seen: Floats, waves: tuple[Wave, ...]) -> PhasedLattice | None:
+    """The lattice of features, which count by how well they are seen."""
     weight = seen.clip(0.0, 1.0)
-    means = (planes.features * weight).mean(axis=(1, 2)) / max(float(weight.mean()), 1e-6)
-    return measure_lattice((planes.features - means[:, None, None]) * weight, waves)
+    means = (features * weight).mean(axis=(1, 2)) / max(float(weight.mean()), 1e-6)
+    return measure_lattice((features - means[:, None, None]) * weight, waves)
 
 
 def _choose(
-    places: list[tuple[int, int]], donors: _Donors, planes: _MapPlanes, photograph: _Photograph
+    places: list[tuple[int, int]], donors: _Donors, features: Floats, photograph: _Photograph
 ) -> dict[tuple[int, int], tuple[int, int]]:
     """Corner of the donor block of every place; distinct places keep their maps, without entry."""
     rng = np.random.default_rng(0)
     known, donor = donors.known.copy(), np.zeros((*donors.known.shape, 4), np.float32)
-    donor[..., :3] = np.moveaxis(planes.features, 0, -1)  # a texel's numbers lie together
+    donor[..., :3] = np.moveaxis(features, 0, -1)  # a texel's numbers lie together
     seen = donor.copy()
     copied = np.zeros_like(known)
     chosen: dict[tuple[int, int], tuple[int, int]] = {}
@@ -476,19 +462,18 @@ def _sources(
     return source, np.isfinite(nearest)
 
 
-def _map_planes(exemplar: Exemplar, known: TexelMask) -> _MapPlanes:
-    """Prepare an exemplar's planes; albedo is standardised over known texels."""
-    stacked = exemplar.stacked().astype(np.float32)
+def _features(exemplar: Exemplar, known: TexelMask) -> tuple[Floats, Floats]:
+    """(3, H, W) channel mean of log albedo, and slopes (x, down), each over its deviation, of
+    albedo over known texels; (H, W) height high-passed, as low frequencies are not copied.
+    """
     height = exemplar.height[0] / exemplar.texel_size
     fine = height - cv2.GaussianBlur(height, (0, 0), _BLOCK / 1.5)
-    high_passed = stacked.copy()
-    high_passed[HEIGHT] = fine * exemplar.texel_size
     down, across = np.gradient(fine)
     lightness = np.log(exemplar.diffuse.clip(1e-3)).mean(0)
     steep = np.sqrt(np.mean(np.square(down) + np.square(across))) + 1e-6
     lightness /= lightness[known].std() + 1e-3
     features = np.stack([lightness, across / steep, down / steep])
-    return _MapPlanes(stacked, high_passed, features.astype(np.float32))
+    return features.astype(np.float32), fine * exemplar.texel_size
 
 
 def _marks(albedo: Floats, visible: TexelMask) -> TexelMask:
