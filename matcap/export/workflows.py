@@ -58,7 +58,6 @@ class FittedTables:
     """Factor on F0."""
     roughness: Picture
     """Factor on the roughness."""
-
     each: bool = False
     """The layer darkens each channel by its own reflection; else all by the brightest one's."""
 

@@ -126,7 +126,6 @@ class BlendOptions(CheckedSettings):
         None, words=("example", "decoder"), otherwise="the ones that make their maps"
     )
     """Interpolate the exemplars (example), or the networks through the space (decoder)."""
-
     shares: tuple[float, ...] = setting(
         (0.5,), option="-t", metavar="T|FROM:TO:COUNT", parse=shares, otherwise="0.5"
     )

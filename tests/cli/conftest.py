@@ -29,7 +29,6 @@ class FakeMaterial:
     texel_size: float = 2.0 / 512
     setup: FlashSetup = field(default_factory=FlashSetup)
     provenance: dict = field(default_factory=lambda: {"made": "up"})
-
     alignment: int = 16
     generators: tuple = ("example",)
     latent: None = None

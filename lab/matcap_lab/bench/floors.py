@@ -68,10 +68,8 @@ class PhotographSettings:
 
     captured: CaptureSettings = field(default_factory=CaptureSettings)
     """Settings of the captures; their `detail` is the exemplar's resolution."""
-
     ev: float = 0.0
     """Exposure offset from the automatic exposure, EV."""
-
     jpeg: bool = False
     """JPEGs, instead of RAW."""
 
@@ -181,10 +179,8 @@ class Ambient:
     room: float = 0.0
     """Irradiance of ambient light (hand_held.Room); 0 for darkness. Each count is captured without
     and with one more photograph without flash."""
-
     union: bool = False
     """Each count of two or more is also captured over the union of the photographs' views."""
-
     hand: Hand = Hand()
     """Movements of the phone, its flash and lens."""
 
@@ -196,10 +192,8 @@ class TakenSubject:
     subject: Specimen
     paths: Sequence[Path]
     """Photographs with flash."""
-
     unlit: Sequence[Path]
     """Photographs without flash."""
-
     cameras: Sequence[PosedCamera]
     evaluator: Evaluator
 
@@ -342,7 +336,6 @@ class CapturedMaps:
 
     maps: MapSet
     """Maps of the photographed rectangle, or of a square of an endless field."""
-
     setup: FlashSetup
     """Camera and flash they go with."""
 

@@ -102,7 +102,6 @@ class StageCosts:
 
     began: dict[str, float]
     """Processor seconds when a stage was entered."""
-
     ended: dict[str, float]
     megabytes: dict[str, float]
 

@@ -55,19 +55,14 @@ class SynthSettings:
 
     size: tuple[int, int] = (4096, 256)
     """(width, height) of the map in texels."""
-
     networks: tuple[str, ...] = tuple(NETWORKS)
     """Names in NETWORKS."""
-
     blocks: tuple[str, ...] = BLOCKS
     """Sizes such as "512x256"."""
-
     workers: tuple[int, ...] = (1, 2)
     """Numbers of threads."""
-
     repeats: int = 3
     """Repeats of every measurement; the median counts."""
-
     exemplar: tuple[int, int] = (1024, 768)
     """(width, height) of the exemplar, texels."""
 

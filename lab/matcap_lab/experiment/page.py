@@ -33,26 +33,19 @@ class Presentation:
     title: str
     about: str
     """What was measured, and what each column means."""
-
     axes: tuple[str, str]
     """Columns of the plot and the Pareto front: cost, error."""
-
     base: str | None = None
     """Baseline: configurations measured on fewer subjects are given by their ratio to it
     (results.means), and its subjects are listed."""
-
     listed_with: tuple[str, ...] = ()
     """Further configurations in the table by subject."""
-
     labels: Mapping[str, str] = field(default_factory=dict)
     """Display names of configurations."""
-
     separate_groups: frozenset[str] = frozenset()
     """Groups measured on other subjects, hence compared only among themselves."""
-
     least: float | None = None
     """Lower limit of a logarithmic error axis; None for a linear one."""
-
     picture: bool = True
     """Whether a plot is drawn."""
 

@@ -35,7 +35,6 @@ class Trial:
     subject: str
     values: Mapping[str, Value]
     """Values by column; NaN if missing."""
-
     group: str = ""
     seed: int = 0
     machine: str = ""
@@ -68,16 +67,12 @@ class Mean:
     group: str
     subjects: int
     """Number of subjects."""
-
     seeds: int
     """Number of seeds of the subject with the fewest."""
-
     values: Mapping[str, float]
     """Means over the subjects' means over seeds."""
-
     spread: Mapping[str, float]
     """Standard deviations over the subjects."""
-
     scatter: Mapping[str, float]
     """Standard deviations over seeds, averaged over the subjects; NaN with one seed."""
 

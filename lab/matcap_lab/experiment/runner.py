@@ -40,10 +40,8 @@ class Configuration(Generic[Subject, Outcome]):
 
     run: Callable[[Subject, int], Outcome]
     """(prepared subject, seed) to the outcome."""
-
     group: str = ""
     """The option varied; configurations of a group share a colour in the plot."""
-
     settings: object = None
     """Everything else its values depend on, compared by its `repr`."""
 
@@ -54,26 +52,19 @@ class Experiment(Generic[Subject, Outcome]):
 
     name: str
     """Name of the command, `matcap-lab bench NAME`."""
-
     subjects: Mapping[str, Callable[[], Subject]]
     """Preparation functions by name, called only if a trial of the subject is missing."""
-
     configurations: Mapping[str, Configuration[Subject, Outcome]]
     """Configurations by name."""
-
     measures: Sequence[Measure[Subject, Outcome]] = ()
     """Measures in the order of their columns, after `seconds`, the configuration's run time.
     Without any, the outcome is the columns."""
-
     seeds: Sequence[int] = (0,)
     """Seeds that each configuration runs with."""
-
     skips: Callable[[str, str], bool] = field(default=lambda _subject, _configuration: False)
     """(subject, configuration): whether that trial is left out."""
-
     settings: object = None
     """Everything else its values depend on, compared by its `repr`."""
-
     any_version: bool = False
     """Rows measured by another version of the source are kept: for sweeps of hours."""
 

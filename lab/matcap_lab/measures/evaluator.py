@@ -39,19 +39,14 @@ class EvaluationSettings:
 
     detail: int = 512
     """Texels along the photograph's long side, at the resolution compared."""
-
     size: int = 256
     """Side of the compared central square, texels; at least 128."""
-
     camera: PhoneCamera = field(default_factory=PhoneCamera)
     """Camera of the photograph; its blur is applied to true samples."""
-
     truths: int = 3
     """Number of true samples, at least 2."""
-
     finer: int = 4
     """True samples are shaded at this many texels a pixel, along each side, and averaged."""
-
     every: int = 2
     """Step through the bench's ten lights: 2 uses every second one."""
 

@@ -38,16 +38,12 @@ class Specimen:
 
     name: str
     """The material's name."""
-
     material: RealiseAt
     """The material, of any seed, size and resolution."""
-
     seed: int = _PHOTOGRAPHED
     """Seed of the photographed realisation and of the sensor's noise."""
-
     setup: FlashSetup = _SETUP
     """Geometry of the photograph; the camera adds field of view and intensity."""
-
     shading: float = 0.0
     """Lens shading in its DNG (write_dng)."""
 

@@ -128,7 +128,6 @@ class Made:
 
     pictures: Tensor
     """(N, 3, SIZE, SIZE) sRGB realisations under the photograph's flash."""
-
     seconds: float
     """Run time of the method, without rendering."""
 
@@ -173,10 +172,8 @@ class EvaluateSettings:
 
     steps: int = 100
     """Fine-tuning steps from the prior."""
-
     longer: int = 1000
     """Fine-tuning steps from random weights."""
-
     materials: int = 12
     """Number of held-out materials."""
 
@@ -329,7 +326,6 @@ class VarietySettings:
 
     draws: int = 256
     """Number of materials drawn, with seeds 0, 1, ..."""
-
     simulated: int = 64
     """Number of unseen simulated photographs, added to the held-out ones."""
 

@@ -40,16 +40,12 @@ class RateSchedule:
 
     steps: int
     """Total number of steps."""
-
     warm_up: int
     """Steps over which the rate rises."""
-
     cooling: float = 0.0
     """Last steps, over which the rate falls; 0 for a run without a planned end."""
-
     least: float = 0.0
     """Final share of the rate."""
-
     seconds: float = math.inf
     """Time limit, seconds."""
 
@@ -154,13 +150,10 @@ class Reporting:
 
     every: int
     """Steps between rows of the curves."""
-
     minutes: float
     """Minutes between checkpoints."""
-
     measure: Callable[[], Mapping[str, float]] = field(default=dict)
     """Callback for more columns, at each row."""
-
     on_progress: Callable[[str], None] = field(default=lambda _line: None)
     """Callback with each row as text."""
 

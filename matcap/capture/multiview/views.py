@@ -302,7 +302,6 @@ class ResampledView:
     """Whether its flash lights it, not ambient light."""
     extent: Extent = OWN
     """Extent of the grid."""
-
     measured_variance: Tensor | float = 0.0
     """(3, 1, 1) variance of log radiance by channel, of residuals (solve.py); 0 if unknown."""
 
