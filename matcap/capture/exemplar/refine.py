@@ -83,7 +83,6 @@ from matcap.flash.light import DARKEST, cached_rows, strips
 Floats = NDArray[np.float32]
 
 # Refinement; docs/notes/capture.md. NSD is the normalised style distance.
-
 # Gauss-Newton steps. The power of granite's finest octave is 0.66, 0.74 and 0.74 of the
 # photograph's after 3, 4 and 6.
 _STEPS = 5
@@ -183,8 +182,7 @@ def evened_albedo(observed: Observation, residuals: SurfaceParameters) -> Surfac
         excess += part * (1.0 - _evening(part, dimness, matte, _LIT_SHARE, _BY_CHANCE))
     glints, deviation = 1.0 - albedo_weight(observed), deviation - excess
     if glints > 0.0:
-        evening = _evening(deviation, specular, used, _MATTE_SHARE)
-        excess += glints * (1.0 - evening) * deviation
+        excess += glints * (1.0 - _evening(deviation, specular, used, _MATTE_SHARE)) * deviation
     return replace(residuals, diffuse=residuals.diffuse - excess)
 
 
@@ -266,8 +264,7 @@ def _fitted_mean_parameters(
 ) -> tuple[Tensor, float]:
     """(K, 5) changes of the classes' mean parameters, and the mean absolute log residual of rings.
 
-    Args:
-        texels: short side of the grid of the fit, at least.
+    The short side of the grid of the fit has at least `texels`.
     """
     classes = prediction.classes
     target = RingTarget.of(observed, prediction.residuals, classes.metal)
@@ -484,8 +481,7 @@ def with_photographed_mean(
     proportional to albedo (of metal: F0), and the radiance U of the uniform material. Contrast that
     refinement adds to log albedo changes the mean radiance: of a black and white weave by 1.5.
 
-    Args:
-        residuals, linear, valid, light, metal: as of refine_albedo.
+    Arguments as of refine_albedo.
     """
     log, diffuse_share = light.rendered(light.maps(residuals))
     even, _ = light.rendered(light.maps(residuals - residuals))
@@ -543,7 +539,6 @@ def scaled_by_glints(
         residuals, linear: as of refine_albedo.
         measured: (3, H, W) bool: not clipped.
         noise: (3, H, W) standard deviation of log radiance.
-        spectrum: measured in the photograph, or None.
     """
     _, diffuse_share = light.rendered(light.maps(residuals))
     around = max(linear.shape) / WIDE
