@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ from matcap.capture.exemplar.mean_parameters import (
     scaled,
 )
 from matcap.capture.exemplar.network.network import Inverse
-from matcap.capture.exemplar.octaves import filled, smoothed
+from matcap.capture.exemplar.octaves import filled, local_mean, smoothed
 from matcap.capture.exemplar.predict import (
     NetworkPrediction,
     exemplar_of,
@@ -66,8 +67,11 @@ if TYPE_CHECKING:
     from matcap.capture.multiview.set_report import SetReport
 
 TexelMask = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 
 _MOST_KEPT = 0.7  # least share of the photographed texels in the rectangle that fields show
+# Texels: largest deviation of the blur along grooves, and that of local means of relief.
+_LONGEST_LINE, _OF_RELIEF = 24.0, 32.0
 
 
 @dataclass(frozen=True)
@@ -181,9 +185,12 @@ def estimate_exemplar(
     stated = known.absolute or known.albedo is not None or prediction.metal.any()
     over_f0 = None if stated else coarse.level_deviation
     with clock.stage("inpaint"):
-        exemplar, copies = inpainted(
-            exemplar_of(observed, prediction), observed, rectified.input_waves
-        )
+        measured = exemplar_of(observed, prediction)
+        exemplar, copies = inpainted(measured, observed, rectified.input_waves)
+        if copies is not None and spectrum is not None and spectrum.across is not None:
+            heights, seen = (exemplar.height[0], measured.height[0]), observed.plane.valid.numpy()
+            height = continued_grooves(*heights, seen, copies.copied, spectrum.across)
+            exemplar = replace(exemplar, height=height[None])
         exemplar = refitted_to_highlight(exemplar, observed, prediction.metal)
         matte = without_glints(whole, coarse, metal=bool(prediction.metal.any()))
         exemplar = transfer_detail(exemplar, matte, coarse, copies)
@@ -207,6 +214,52 @@ def estimate_exemplar(
         turned=turned,
         kept=_upright(kept, turned=turned),
     )
+
+
+def continued_grooves(
+    height: Floats,
+    measured: Floats,
+    seen: TexelMask,
+    copied: TexelMask,
+    across: float,
+) -> Floats:
+    """Height (H, W) with the grooves of copied texels joined to those around them.
+
+    Copied blocks cut grooves off. Measured relief is kept up to where the highlight is clipped, and
+    the rest is blurred along the grooves, where what is measured counts most, over the length
+    rms h / rms dh/du that they have elsewhere along their direction u. Local energy is restored.
+
+    Args:
+        height: with copies; any unit.
+        measured: before these.
+        seen: (H, W) visible and not clipped.
+        copied: (H, W).
+        across: direction across grooves, radians from x, y upwards.
+    """
+    around = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), 4.0)
+    kept = np.where(copied, np.clip(4.0 * around - 3.0, 0.0, 1.0), 1.0).astype(np.float32)
+    whole = height + kept * (measured - height)
+    slow = smoothed(whole, _OF_RELIEF)
+    fine = whole - slow
+    x, down = -math.sin(across), -math.cos(across)  # along the grooves
+    slope = x * np.gradient(fine, axis=1) + down * np.gradient(fine, axis=0)
+    own = ~copied
+    energy = float(np.square(fine)[own].mean()) if own.any() else 0.0
+    along = math.sqrt(energy / max(float(np.square(slope)[own].mean()), 1e-24)) if energy else 1.0
+    deviation = min(max(along, 1.0), _LONGEST_LINE)
+    side = np.arange(-math.ceil(3.0 * deviation), math.ceil(3.0 * deviation) + 1.0)
+    u, v = x * side + down * side[:, None], down * side - x * side[:, None]
+    line = (np.exp(-0.5 * np.square(u / deviation)) * (1.0 - np.abs(v)).clip(0.0)).astype(
+        np.float32
+    )
+    weight = kept + np.float32(0.05)
+    joined = cv2.filter2D(fine * weight, -1, line) / cv2.filter2D(weight, -1, line)
+    energies = (
+        local_mean(np.square(fine), weight, _OF_RELIEF),
+        smoothed(np.square(joined), _OF_RELIEF),
+    )
+    joined *= np.sqrt(energies[0] / np.maximum(energies[1], np.float32(1e-24))).clip(1.0, 4.0)
+    return np.asarray(slow + joined + kept * (fine - joined), np.float32)
 
 
 def refined(
