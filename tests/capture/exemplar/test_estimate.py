@@ -17,7 +17,12 @@ from typer.testing import CliRunner
 
 from matcap.brdf.folder import find_mapsets, read_mapset
 from matcap.brdf.maps import MapSet
-from matcap.capture.exemplar.estimate import ExemplarEstimate, KnownMeans, estimate_exemplar
+from matcap.capture.exemplar.estimate import (
+    ExemplarEstimate,
+    KnownMeans,
+    continued_grooves,
+    estimate_exemplar,
+)
 from matcap.capture.exemplar.network.network import (
     ANSWERS,
     ERRORS,
@@ -437,3 +442,22 @@ def test_metal_or_dielectric_by_hand_decides_the_coarse_fit(metal):
     shot = photographed(0.15, 0.15, width=256, height=192)
     coarse = fit_coarse(photo_from_array(shot.linear.movedim(0, -1).numpy()), known_metal=metal)
     assert coarse.conductor is metal and coarse.by_hand
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_copies_do_not_cut_grooves_off(turned: bool) -> None:
+    """Where nothing is seen, grooves go on from both sides instead of the copied ones."""
+    rng = np.random.default_rng(3)
+    lines = np.convolve(rng.standard_normal(160), [0.25, 0.5, 0.25], "same")[:, None]
+    true = np.repeat(lines / lines.std(), 160, axis=1).astype(np.float32)
+    copied = np.zeros(true.shape, np.bool_)
+    copied[60:100, 60:100] = True
+    height = np.where(copied, np.roll(true, 37, axis=0), true)
+    planes = (height, true, ~copied, copied)
+    if turned:
+        planes = tuple(np.ascontiguousarray(plane.T) for plane in planes)
+    whole = continued_grooves(*planes, across=0.0 if turned else math.pi / 2.0)
+    whole = whole.T if turned else whole
+    np.testing.assert_allclose(whole[~copied], true[~copied], atol=1e-4)
+    hole = np.s_[64:96, 64:96]
+    assert np.corrcoef(whole[hole].ravel(), true[hole].ravel())[0, 1] > 0.9
