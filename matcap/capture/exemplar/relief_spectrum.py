@@ -65,7 +65,7 @@ _MOST_FACTOR = 30.0
 _BY_STEEPNESS = 12.0
 _BY_DIRECTION = 1.0  # scale of the Cauchy prior of a direction's log factor
 # Order of the slopes' directions from which on they are grooves: of brushed surfaces 0.92 to 1.0,
-# of others up to 0.78. Scale of the prior of a direction's log factor there.
+# of others up to 0.81. Scale of the prior of a direction's log factor there.
 _GROOVED, _OF_GROOVES = 0.85, 10.0
 # Energy of a band of height that does not follow log albedo, over that which does, from which on it
 # is its own: of ten cloths 0.1, of granite 1 to 2.
