@@ -39,8 +39,8 @@ _LIFT = 2e-6
 _NEAR, _RINGS = 2, (5, 10, 20, 40)
 _ROUNDING = 1.0 + 1e-5
 # The mean albedo of a texel's neighbours is assumed to be at most _ADJACENT times the largest mean
-# of _CELL x _CELL texels within _CELL such cells (leather, knitted cloth, tiles: 99 % of texels
-# below 0.94 to 1.16 times that mean), and at most the largest of all.
+# of _CELL x _CELL texels within a walk's reach (leather, knitted cloth, tiles: 99 % of texels below
+# 0.94 to 1.16 times that mean), and at most the largest of all.
 _CELL, _ADJACENT = 4, 1.75
 
 
@@ -150,9 +150,11 @@ class Relief:
     def albedo_around(self, column: Array, row: Array) -> Array:
         """(3, N) largest mean albedo of the neighbours of places in texels, see _CELL."""
         (rows, columns), (width, height) = self.albedo_cells.shape[1:], self.texture.size
-        i = (np.mod(row, height) * (rows / height)).astype(np.intp)
-        j = (np.mod(column, width) * (columns / width)).astype(np.intp)
-        return self.albedo_cells[:, np.minimum(i, rows - 1), np.minimum(j, columns - 1)]
+        if self.endless:
+            row, column = np.mod(row, height), np.mod(column, width)
+        i = (row * (rows / height)).astype(np.intp).clip(0, rows - 1)
+        j = (column * (columns / width)).astype(np.intp).clip(0, columns - 1)
+        return self.albedo_cells[:, i, j]
 
     @cached_property
     def albedo_cells(self) -> Array:
@@ -161,7 +163,8 @@ class Relief:
         means = (
             cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in self.texture.diffuse
         )
-        peaks = [_highest(np.reshape(one, size[::-1]), _CELL, self.around) for one in means]
+        reach = -(-max(steps_of((self.high - self.low) / self.texel_size)) // _CELL) + 1
+        peaks = [_highest(np.reshape(one, size[::-1]), reach, self.around) for one in means]
         largest = np.array(self.texture.brightest, dtype=np.float32)
         return np.minimum(np.float32(_ADJACENT) * np.stack(peaks), largest[:, None, None])
 

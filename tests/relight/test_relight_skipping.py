@@ -287,6 +287,19 @@ def test_bounces_are_left_out_where_they_would_not_show():
     assert shares["diffuse"] == 1.0 and shares["area"] == 0.0
 
 
+@pytest.mark.parametrize("width", [48, 96])
+def test_a_dark_floor_gets_the_light_of_white_walls_far_away(width):
+    """Bounced light is bounded by the albedo of all that a texel sees, not of texels around it."""
+    maps = flat(2 * width, 2 * width, 0.9, roughness=0.8)
+    across = torch.arange(2 * width)
+    edge = torch.minimum(across - width // 2, 3 * width // 2 - 1 - across)  # above 0 on the floor
+    maps.height[:] = maps.texel_size * (24.0 - edge.clamp(0, 24))
+    maps.diffuse[..., edge > 24] = 0.05
+    light = DirectionalLight((0.5, 0.0, 0.866), (4.0,) * 3)
+    off, _ = difference(maps, Scene(Film(96, 96), None, Surface(size=None), (light,)))
+    assert np.abs(off).max() <= 1.0
+
+
 def test_a_tally_counts_tiles_at_the_border_too():
     tally = Tally((70, 33))
     assert tally.tiles == (3, 2)
