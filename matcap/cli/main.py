@@ -163,20 +163,26 @@ def run(program: typer.Typer | None = None) -> None:
     code = main(program=program, interrupted=came)
     ignore_signals()
     code = _flushed(code)
-    with suppress(OSError):
-        sys.stderr.flush()
-    os._exit(code)  # freeing all modules and objects takes 0.1 s with torch loaded, as mypy has it
+    if sys.getprofile() or sys.gettrace():  # these write at exit
+        sys.exit(code)
+    os._exit(code)  # freeing all modules and objects takes 0.1 s with torch loaded
 
 
 def _flushed(code: int) -> int:
-    """The exit code after flushing stdout; a failure to flush gives its own code."""
+    """The exit code after flushing stdout and stderr, which are None where they are closed.
+
+    A failure to flush stdout gives its own code.
+    """
     try:
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except OSError as error:
         # Python would flush again at exit, and print its own message.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.ENOSPC and not code:
-            return _show(_explained(error), debug=False)
+            code = _show(_explained(error), debug=False)
+    with suppress(OSError, AttributeError):
+        sys.stderr.flush()
     return code
 
 
