@@ -375,7 +375,7 @@ class PhonePhotographs:
         )
 
     def take(self, count: int, out: Path) -> tuple[dict[str, list[Path]], FlashSetup]:
-        """Files by form, a key of FORMS, and the first one's true setup; not taken twice.
+        """Files by form, one of FORMS, and the first one's true setup; not taken twice.
 
         `count` DNGs; and the first photograph as a JPEG, as two of which the second is two stops
         darker, and as one with an HDR gain map.

@@ -483,8 +483,9 @@ def match_photograph(material: Material, plane: Plane, seed: int = 0) -> tuple[M
     with torch.inference_mode():
         lying = maps.turned(1) if tuned.turned else maps
         by = correction(lying, mean, replace(material.setup, turned=False), plane)
-        matched = replace(material, generators={"decoder": by.decoder(tuned)})
-        return matched, by.maps(maps, mean)
+        corrected = by.maps(maps, mean)
+    # Outside inference mode, where weights could not be changed afterwards.
+    return replace(material, generators={"decoder": by.decoder(tuned)}), corrected
 
 
 def correction(maps: MapSet, mean: Tensor, setup: FlashSetup, plane: Plane) -> Correction:
