@@ -64,8 +64,9 @@ _MOST_FACTOR = 30.0
 # Error of a direction's share over squared slopes: without, a steep rock gets a grain it lacks.
 _BY_STEEPNESS = 12.0
 _BY_DIRECTION = 1.0  # scale of the Cauchy prior of a direction's log factor
-# Order of the slopes' directions from which on they are grooves: of brushed surfaces 0.92 to 1.0,
-# of others up to 0.81. Scale of the prior of a direction's log factor there.
+# Order of the slopes' directions from which on they are grooves: of brushed plastic, twill, gouged
+# lacquer and wood 0.92 to 1.0, of surfaces without a direction up to 0.63 (docs/notes/capture.md).
+# Scale of the prior of a direction's log factor there.
 _GROOVED, _OF_GROOVES = 0.85, 10.0
 # Energy of a band of height that does not follow log albedo, over that which does, from which on it
 # is its own: of ten cloths 0.1, of granite 1 to 2.
