@@ -27,7 +27,15 @@ from matcap.photo import hdr_gain_map
 from matcap.photo.exif import Exif, read_exif
 from matcap.photo.hdr_gain_map import HdrGainMap, applied
 from matcap.photo.left_out import Rows, area_averaged, shrink, shrunk_size
-from matcap.photo.photo import WITH_GAIN_MAP, Decoded, Development, Photo, ToneCurve, check_size
+from matcap.photo.photo import (
+    WITH_BRIGHT_GAINS,
+    WITH_GAIN_MAP,
+    Decoded,
+    Development,
+    Photo,
+    ToneCurve,
+    check_size,
+)
 
 _LOSSY = (FileKind.JPEG, FileKind.WEBP, FileKind.AVIF, FileKind.HEIC)
 _LOSSY_CLIP = 254.0 / 255.0  # as lossy coding may decode 255 to 254
@@ -37,6 +45,9 @@ _WIDEST_META = 1 << 16  # first bytes of a HEIC or AVIF in which its items are s
 _SHARED, _SHARED_SHARE = 16, 1e-4
 _MOST_SHARED = 0.5  # share of all from which on it is a flat picture
 _EQUAL = 1e-4  # relative difference of values that count as equal
+# Linear light of middle tones in a base picture, and the mean log2 gain of these from which on a
+# gain map undoes the tone curve (of two phones' pictures 0.03 and 0.9; docs/notes/gloss.md).
+_MIDDLE_TONES, _LEAST_STOPS = (0.03, 0.3), 0.1
 _USUAL_MEDIANS = (1e-3, 2.0)  # median of a photograph in units of white; beyond, white is doubtful
 
 
@@ -220,7 +231,7 @@ def decode(coded: Coded, long_side: int | None, tone: ToneCurve | None = None) -
     clip_code = np.ceil(clip_code) if whole else clip_code
     linear = gain_map is None and _is_linear(linearise, codes.dtype)
     tone = ToneCurve() if linear else tone
-    at_limit = 0
+    at_limit, stops = 0, [np.zeros(2)]
 
     def read(top: int, bottom: int) -> Rows:
         nonlocal at_limit
@@ -229,7 +240,8 @@ def decode(coded: Coded, long_side: int | None, tone: ToneCurve | None = None) -
         red, green, blue = (rows[..., channel] >= clip_code for channel in range(3))
         clipped: NDArray[np.bool_] = red | green | blue
         if gain_map is not None:
-            linear, at_most = gain_map.light(linear, slice(top, bottom))
+            base, (linear, at_most) = linear, gain_map.light(linear, slice(top, bottom))
+            stops.append(_middle_stops(base, linear))
             clipped &= at_most
         elif scale != 1.0:
             linear = linear * scale
@@ -248,9 +260,23 @@ def decode(coded: Coded, long_side: int | None, tone: ToneCurve | None = None) -
         tone=tone,
         headroom=headroom if tone is None else float(tone.linear(np.array(headroom))),
         floating=not whole,
-        development=Development() if gain_map is None else WITH_GAIN_MAP,
+        development=_development(np.sum(stops, axis=0)) if gain_map else Development(),
     )
     return Decoded(photo, opacity=opacity)
+
+
+def _middle_stops(base: NDArray[np.float32], light: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Sum of |log2 gain| over texels of middle tones, and their number."""
+    dark, bright = _MIDDLE_TONES
+    tone, gained = base.mean(axis=-1), light.mean(axis=-1)
+    middle = (tone > dark) & (tone < bright) & (gained > 0.0)
+    gains = np.abs(np.log2(gained[middle] / tone[middle]))
+    return np.array([gains.sum(dtype=np.float64), gains.size])
+
+
+def _development(stops: NDArray[np.float64]) -> Development:
+    """The prior for a gain map, by the sums of _middle_stops."""
+    return WITH_GAIN_MAP if stops[0] > _LEAST_STOPS * stops[1] else WITH_BRIGHT_GAINS
 
 
 def _headroom(coded: Coded, linearise: Linearise) -> float:

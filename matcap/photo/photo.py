@@ -37,10 +37,11 @@ class Development:
     """w, held."""
 
 
-# Base and HDR gain map together: the shoulder is undone, and dark tones are as in the base, which
-# has nearly no gain there. A wider prior takes a part of every highlight for contrast: log
-# exponents of 0.05 to 0.10 where it is 0 (docs/notes/gloss.md).
+# Base and HDR gain map together: the shoulder is undone. A wider prior takes a part of every
+# highlight for contrast: log exponents of 0.05 to 0.10 where it is 0 (docs/notes/gloss.md).
 WITH_GAIN_MAP = Development(0.01, 0.02, 0.0)
+# The same where the map has no gain for middle tones: these are as a phone's JPEG has them.
+WITH_BRIGHT_GAINS = Development(shoulder=0.0)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from matcap.files.color import rec709_decode, srgb_decode
 from matcap.files.pixels import Pixels, upright
 from matcap.photo.hdr_gain_map import HdrGainMap, of_heic, of_jpeg
 from matcap.photo.load import load_photo
+from matcap.photo.photo import WITH_BRIGHT_GAINS, WITH_GAIN_MAP
 
 LOW, HIGH, GAMMA, BASE_OFFSET, OFFSET = -0.3, 2.2, 1.5, 1 / 64, 1 / 32
 
@@ -54,6 +55,18 @@ def test_radiance_follows_the_formula_of_iso_21496(tmp_path, codes, gains, said)
     assert not photo.clipped.any() and photo.clipped_share == 0.0
     assert "2.2 stops above white" in photo.notes[0]
     assert photo.tone_mapped and photo.development.shoulder == 0.0
+
+
+@pytest.mark.parametrize(
+    ("middle", "prior"), [(0, WITH_BRIGHT_GAINS), (10, WITH_BRIGHT_GAINS), (60, WITH_GAIN_MAP)]
+)
+def test_a_map_without_gain_for_middle_tones_leaves_these_as_a_phone_s(tmp_path, middle, prior):
+    """A code of 10 is 0.08 stops. Darks, and the map's gain of bright tones, do not count."""
+    base = np.full((96, 128, 3), 100, np.uint8)
+    base[:32], base[:, :32] = 250, 10
+    gains = np.where(base[..., 0] == 100, middle, 255).astype(np.uint8)
+    path = write(tmp_path / "a.jpg", jpeg(base, [hdrgm()]), jpeg(gains, [hdrgm(GainMapMax=2)]))
+    assert load_photo(path).development == prior
 
 
 def test_each_channel_has_its_own_parameters(tmp_path, codes, gains):
