@@ -435,8 +435,8 @@ def _of_death(photo: Path, code: int) -> work.Failure:
 def exit_code(entries: Sequence[work.BatchEntry], *, strict: bool = False) -> ExitCode:
     """Exit code of a batch; with `strict` only materials with a good verdict count as made."""
     verdicts = [one.record.get("verdict") for one in entries if one.state in ("made", "kept")]
-    good = sum(not (strict and one) or Rating(one["rating"]).fit for one in verdicts)
-    return ExitCode.of(good, len(entries))
+    unfit = [one for one in verdicts if one and not Rating(one["rating"]).fit]
+    return ExitCode.of(len(verdicts) - (len(unfit) if strict else 0), len(entries))
 
 
 # A batch in two steps: prepare (list the samples and their states), then capture them.

@@ -310,7 +310,8 @@ def _capture(name: str, way: Way, out: Path, at: At, seed: int) -> CommandOutcom
 def command_of(name: str, photographs: Sequence[Path], folder: Path, seed: int) -> list[str]:
     """Command line of a configuration that writes into a folder."""
     way = WAYS[name]
-    given = [str(path) for path in photographs[: way.photographs if way.form == "DNG" else None]]
+    count = way.photographs if way.form == "DNG" else len(photographs)
+    given = [str(path) for path in photographs[:count]]
     common = ["--quiet", "--seed", str(seed), "--out", str(folder)]
     return [sys.executable, "-c", _CAPTURE, "capture", *given, *way.options, *common]
 

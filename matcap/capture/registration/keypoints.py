@@ -188,7 +188,8 @@ def _voted(one: Doubles, other: Doubles, shapes: NDArray[np.complex128]) -> NDAr
     far, ratio = np.abs(between), np.abs(np.log(shapes[None] / shapes[::step, None]))
     # Perspective makes the tolerance grow with distance; matches at the same point do not vote.
     along = (error < 0.03 + 0.3 * far) & (ratio < 0.6) & (far < 0.7)
-    return np.asarray(along[int(np.argmax((along & (far > 0.02)).sum(1)))])
+    votes = (along & (far > 0.02)).sum(1)
+    return np.asarray(along[int(np.argmax(votes))])
 
 
 def is_periodic(photo: Photo) -> bool:

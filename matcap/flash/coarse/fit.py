@@ -341,9 +341,9 @@ def starts(problem: Problem, highlight: Highlight | None, *, tilt_known: bool) -
     intensity = brightness - mean.albedo[:1] + math.log(math.pi) + 2.0
     logits, places = list(_STARTS), [mean]
     if highlight is not None:
-        means = math.sqrt(min(highlight.width / (_HALF_GGX * distance), 0.6))
-        logits = [_STARTS[0]]
-        logits += [math.log(share * means / (1.0 - share * means)) for share in _WIDTHS]
+        alpha = min(highlight.width / (_HALF_GGX * distance), 0.6)
+        roughnesses = [share * math.sqrt(alpha) for share in _WIDTHS]
+        logits = [_STARTS[0], *(math.log(one / (1.0 - one)) for one in roughnesses)]
         u, v = highlight.centre
         tilt_x, tilt_y = mean.tilt.tolist()
         across, up = u + distance * math.tan(tilt_y), v - distance * math.tan(tilt_x)
