@@ -46,7 +46,7 @@ _SHARED, _SHARED_SHARE = 16, 1e-4
 _MOST_SHARED = 0.5  # share of all from which on it is a flat picture
 _EQUAL = 1e-4  # relative difference of values that count as equal
 # Linear light of middle tones in a base picture, and the mean log2 gain of these from which on a
-# gain map undoes the tone curve (of two phones' pictures 0.03 and 0.9; docs/notes/gloss.md).
+# gain map undoes the tone curve (of two phones' pictures 0.03 and 0.58; docs/notes/gloss.md).
 _MIDDLE_TONES, _LEAST_STOPS = (0.03, 0.3), 0.1
 _USUAL_MEDIANS = (1e-3, 2.0)  # median of a photograph in units of white; beyond, white is doubtful
 

@@ -222,9 +222,9 @@ def test_a_bent_lattice_is_followed():
     example = ordered()
     x = np.arange(30, 210)
     phases = example.index.lattice.phases(x, np.full(x.shape, 100))[:, 1].astype(float) / 2**16
-    apart = (phases - 0.1 * np.sin(x / 90.0)) % 1.0
-    apart = np.angle(np.exp(2j * np.pi * apart)) / (2 * np.pi)
-    assert np.ptp(np.unwrap(2 * np.pi * apart)) / (2 * np.pi) < 0.06
+    phase = (phases - 0.1 * np.sin(x / 90.0)) % 1.0
+    phase = np.angle(np.exp(2j * np.pi * phase)) / (2 * np.pi)
+    assert np.ptp(np.unwrap(2 * np.pi * phase)) / (2 * np.pi) < 0.06
 
 
 def test_detail_is_read_at_the_exemplars_own_resolution(monkeypatch):

@@ -134,8 +134,8 @@ def test_a_texel_whose_red_clips_is_told_by_the_others() -> None:
 
     def off(seen: torch.Tensor) -> float:
         refined = refine_albedo(_without_albedo_detail(truth), ERRORS, clipped, seen, light)
-        apart = (refined - truth).diffuse[1:, measured[1:].all(0) & ~measured[0]]
-        return float((apart - apart.mean(1, keepdim=True)).abs().mean())
+        error = (refined - truth).diffuse[1:, measured[1:].all(0) & ~measured[0]]
+        return float((error - error.mean(1, keepdim=True)).abs().mean())
 
     assert off(measured) < 0.5 * off(measured.all(0))
 
